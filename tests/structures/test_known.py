@@ -20,7 +20,7 @@ from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
 from derender.structures.known.identities import Placed, Placement, identity_probabilities
 from derender.structures.known.library import read_library
-from derender.structures.known.posterior import enough, likeliest, names_instead, names_of
+from derender.structures.known.posterior import enough, likeliest, names_of
 from derender.structures.options import Options
 
 LIBRARY = """
@@ -95,10 +95,10 @@ def test_what_stands_there_instead_has_a_name_of_its_own(tmp_path):
     of = [Placed(known, row, 0) for known in (brick, brick, tin, None)]
     names = names_of(of)
     assert names == ["brick", "brick_2", "tin", "box_1"]
-    assert names_instead(names, of, [of[2], of[1], of[2], of[3]]) == ["tin_1", "brick_2", "tin", "box_1"]
-    assert names_instead(names, of, [of[0], of[3], of[2], of[3]]) == ["brick", "box_2", "tin", "box_1"]
+    assert names_of([of[2], *of[1:]], ["", *names[1:]]) == ["tin_2", "brick_2", "tin", "box_1"]
+    assert names_of([of[0], of[3], *of[2:]], ["brick", "", *names[2:]]) == ["brick", "box_2", "tin", "box_1"]
     assert enough(of) and not enough([of[2], of[2]])  # one tin is all there is
-    assert names_instead(names, of, [Placed(die, row, 0), *of[1:]])[0] == "die"
+    assert names_of([Placed(die, row, 0), *of[1:]], ["", *names[1:]])[0] == "die"
 
 
 @pytest.mark.parametrize(("text", "words"), [

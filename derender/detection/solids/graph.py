@@ -1,7 +1,7 @@
 """From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -82,21 +82,22 @@ def order_of(parents: list[int]) -> list[int]:
 
 
 def scene_graph(
-    state: State, floor_pose: np.ndarray, names: list[str] | None = None, floating: bool = False
-) -> SceneGraph:
+    state: State, floor_pose: np.ndarray, names: list[str] | None = None, floating: bool = False,
+    given: Mapping[int, Vertex] | None = None,
+) -> SceneGraph:  # fmt: skip
     """Return the scene graph of a state, its solids called `names` (default: see names_of).
 
     Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
     made exact, one that does not keeps the rest as slack. Where none fits, and over a gap in which something that is
     not seen must stand, the solid floats under the root. Where `floating` is allowed, what nothing holds floats,
-    however near it is to the floor.
+    however near it is to the floor. given : the vertices of solids of known shapes, floating under the root.
     """
     parents = list(state.parents)
     order = order_of(parents)
     names = names_of(state) if names is None else names
     graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
     for k in order:
-        vertex = vertex_of(state.rows[k], state.cubes[k], names[k])
+        vertex = (given or {}).get(k) or vertex_of(state.rows[k], state.cubes[k], names[k])
         parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
         if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
             row, on = state.rows[k], None if parents[k] == FLOOR else state.rows[parents[k]]

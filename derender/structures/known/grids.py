@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.detection.solids.image import SIZE, make_row, rotation_of
+from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
-from derender.structures.known.library import Known, turn
+from derender.structures.known.library import Known
 
 GAP = 0.006  # metres between neighbours, at most
 INEXACT = 0.01  # metres by which a large box's sides may be wrong
@@ -83,7 +84,7 @@ def numbers_of(space: Space, layout: Layout) -> np.ndarray:
 
 def cells_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
     """Return the rows (N, ROW) of a grid's boxes, lowest first. numbers : see `numbers_of`; bottom : metres."""
-    rotation = turn(numbers[2])
+    rotation = rotation_z(numbers[2])[:3, :3]
     own = rotation[:, np.argsort(layout.axes)]  # columns: the known box's own axes
     own[:, 2] *= np.sign(np.linalg.det(own))
     pitch = layout.piece + [*numbers[3:5], 0.0]
@@ -96,12 +97,12 @@ def cells_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
 def hull_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
     """Return the rows (1, ROW) of the one box that a grid fills, gaps and all, and what silhouettes add."""
     size = layout.counts * layout.piece + np.append((layout.counts[:2] - 1) * numbers[3:5], 0.0) + numbers[5:]
-    return make_row(BOX, turn(numbers[2]), np.array([*numbers[:2], bottom + 0.5 * size[2]]), size)[None]
+    return make_row(BOX, rotation_z(numbers[2])[:3, :3], np.array([*numbers[:2], bottom + 0.5 * size[2]]), size)[None]
 
 
 def with_gaps(layout: Layout, numbers: np.ndarray, gaps: tuple[float, ...], origin: np.ndarray) -> np.ndarray:
     """Return the numbers of a grid with other gaps whose faces towards the camera stay where they are."""
-    axes = turn(numbers[2])[:2, :2]
+    axes = rotation_z(numbers[2])[:2, :2]
     found = np.array([*numbers[:3], *gaps, 0.0, 0.0, 0.0])
     grown = (hull_of(layout, found, 0.0) - hull_of(layout, numbers, 0.0))[0, SIZE : SIZE + 2]
     found[:2] += axes @ (0.5 * np.sign(axes.T @ (numbers[:2] - origin[:2])) * grown)
@@ -134,7 +135,7 @@ def fitted(
                 for k, sign in product(range(len(numbers)), (1.0, -1.0)):
                     trial = numbers.copy()
                     if k < 2:  # along its own axes, on which its faces depend one by one
-                        trial[:2] += sign * step * turn(numbers[2])[:2, k]
+                        trial[:2] += sign * step * rotation_z(numbers[2])[:2, k]
                     else:
                         trial[k] = np.clip(trial[k] + sign * step * scale[k], low[k], high[k])
                     if (trial != numbers).any() and (found := misfit(rows(layout, trial, space.bottom))) < least:

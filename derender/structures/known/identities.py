@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import SIZE, Image, draw, make_row
+from derender.detection.solids.image import ROW, SIZE, Image, draw, make_row
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import misfit_map
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
-from derender.detection.solids.support import standing_on
+from derender.detection.solids.support import shadows_overlap, standing_on
+from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, MESH, SPHERE
 from derender.structures.known.grids import GAP, Space, fitted, layouts_of, space_of
 from derender.structures.known.image import draw_known, known_misfit, walk_known
-from derender.structures.known.library import Known, turn
+from derender.structures.known.library import Known
 
 LEAST_TILT = np.radians(0.5)
 SCALES = np.array([0.006, 0.006, 0.003, 0.006, 0.001, 0.001])
@@ -47,6 +48,13 @@ class Placed:
     gain: float = 0.0  # nats that it gained when it was placed
     form: int = FREE  # of a solid of unknown sizes, as in State
     cube: bool = False  # of a solid of unknown sizes, as in State
+
+
+def state_of(placed: list[Placed]) -> State:
+    """Return the State of what was placed, all of it on the floor."""
+    rows = np.array([item.row for item in placed]).reshape(-1, ROW)
+    forms, cubes, bases = ([getattr(item, name) for item in placed] for name in ("form", "cube", "base"))
+    return State(rows, forms, cubes, [FLOOR] * len(placed), bases)
 
 
 @dataclass(eq=False)
@@ -84,10 +92,6 @@ class Placement:
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
-    def rows(self, placed: list[Placed]) -> np.ndarray:
-        """Return the (N, ROW) proxies."""
-        return np.array([item.row for item in placed]).reshape(-1, 16)
-
     def starts(self, known: Known, anchor: int, bases: list[float]) -> Iterator[Any]:
         """Yield (row, base) from which an object may be refined where a solid was found."""
         row = self.state.rows[anchor]
@@ -100,7 +104,7 @@ class Placement:
         yaw = np.arctan2(row[4], row[1]) if abs(row[9]) > 0.9 else 0.0
         vertices = known.triangles[0]
         for way in known.resting():
-            rotation = turn(yaw) @ way
+            rotation = rotation_z(yaw)[:3, :3] @ way
             low = float((vertices @ rotation[2]).min())
             for middle in middles:
                 for base in bases:
@@ -129,11 +133,11 @@ class Placement:
         self, known: Any, anchor: int, placed: list[Placed], view: Any, skip: int = -1
     ) -> tuple[float, Placed]:
         """Return (energy, Placed) of the best pose of an object at an anchor."""
-        rows = self.rows(placed)
+        rows, found = state_of(placed).rows, self.state.rows[anchor]
         tops = {round(highest(item.row), 4): highest(item.row) for k, item in enumerate(placed) if k != skip
-                and self.above(self.state.rows[anchor], item.row)}  # fmt: skip
+                and shadows_overlap(found, item.row) and highest(found) > highest(item.row)}  # fmt: skip
         bases = [0.0, *tops.values()]
-        low = lowest(self.state.rows[anchor])
+        low = lowest(found)
         if low > 0.02:
             bases.append(low)
         vertices, triangles = known.triangles
@@ -149,13 +153,6 @@ class Placement:
         _, _, row, base = min(refined, key=lambda each: each[:2])
         energy, row = self.refine(known, row, base, rows, skip, view, 200, 1.5, SCALES / 3)
         return energy, Placed(known, row, anchor, base, -energy)
-
-    @staticmethod
-    def above(row: np.ndarray, other: np.ndarray) -> bool:
-        """Whether a solid stands over another, seen from above."""
-        lifted = row.copy()
-        lifted[12] = other[12]
-        return penetration(lifted, other) > 0.004 and highest(row) > highest(other)
 
     def place(self) -> list[Placed]:
         """Return what is there: known objects one after the other, then what is none of them."""
@@ -193,7 +190,7 @@ class Placement:
         for group, space in self.spaces():
             if taken & set(group):
                 continue
-            rest = np.concatenate([np.delete(self.state.rows, [*taken, *group], axis=0), self.rows(placed)])
+            rest = np.concatenate([np.delete(self.state.rows, [*taken, *group], axis=0), state_of(placed).rows])
             blurred = self.unsure(space) if self.settings.reduced else np.zeros(3)
             chance = self.settings.temper * np.log(np.maximum(2.0 * blurred / EXACT, 1.0)).sum()
 
@@ -233,10 +230,10 @@ class Placement:
             shown = np.isin(self.label, group) & (self.image.depth > 0)
             if len(group) > 1 and shown.any():
                 points = self.image.origin + self.image.depth[shown][:, None] * self.image.direction[shown]
-                level = points[:, :2] @ turn(space.yaw)[:2, :2]
+                level = points[:, :2] @ rotation_z(space.yaw)[:2, :2]
                 low, high = (np.quantile(np.column_stack([level, points[:, 2]]), q, axis=0) for q in (ENDS, 1.0 - ENDS))
                 low[2] = space.bottom
-                middle = turn(space.yaw)[:2, :2] @ (0.5 * (low + high))[:2]
+                middle = rotation_z(space.yaw)[:2, :2] @ (0.5 * (low + high))[:2]
                 whole = space._replace(middle=middle, size=high - low)
                 yield group, whole._replace(inexact=UNSURE + self.unsure(whole))
         for first, space in single.items():
@@ -249,7 +246,7 @@ class Placement:
         far = float(np.linalg.norm(away))
         pixel = float(np.linalg.norm(way[0, 1] - way[0, 0])) * far
         over = max(float(self.image.origin[2] - space.bottom - space.size[2]), LEAST_OVER)
-        return 0.5 * pixel + np.append(np.abs(turn(space.yaw)[:2, :2].T @ away) * pixel / over, 0.0)
+        return 0.5 * pixel + np.append(np.abs(rotation_z(space.yaw)[:2, :2].T @ away) * pixel / over, 0.0)
 
     def together(self, first: int) -> set[int]:
         """Return the solids of the first search that touch one, or touch what does, and so on: parts of one grid?"""
@@ -295,15 +292,12 @@ class Placement:
         self, item: Placed, placed: list[Placed], skip: int, view: Any, rounds: int = 250
     ) -> tuple[np.ndarray, float, float]:
         """Return (row, energy, misfit change) of a solid of unknown sizes polished against the rest."""
-        rest = State(self.rows(placed), [FREE] * len(placed), [False] * len(placed), [FLOOR] * len(placed),
-                     [np.nan] * len(placed))  # fmt: skip
-        return run_polish(self.rng, self.image, rest, skip, item.row, item.form, item.cube, view, item.base,
+        return run_polish(self.rng, self.image, state_of(placed), skip, item.row, item.form, item.cube, view, item.base,
                           self.settings, rounds)  # fmt: skip
 
     def parents(self, placed: list[Placed]) -> tuple[list[int], list[float]]:
         """Return what each stands on and how high that is."""
-        state = State(self.rows(placed), [item.form for item in placed], [item.cube for item in placed],
-                      [FLOOR] * len(placed), [item.base for item in placed])  # fmt: skip
+        state = state_of(placed)
         found = [standing_on(state, k, REACH) for k in range(len(placed))]
         return [parent for parent, _ in found], [base for _, base in found]
 
@@ -320,7 +314,7 @@ class Placement:
                 if item.known is None:
                     row, _, _ = self.polished(item, placed, k, (*view, 0.0))
                 else:
-                    _, row = self.refine(item.known, item.row, item.base, self.rows(placed), k, view, 200,
+                    _, row = self.refine(item.known, item.row, item.base, state_of(placed).rows, k, view, 200,
                                          1.0001 - sweep, SCALES / 6)  # fmt: skip
                 placed[k] = replace(item, row=row)
         return placed
@@ -328,7 +322,7 @@ class Placement:
     def identities(self, placed: list[Placed], k: int) -> list[tuple[float, Placed]]:
         """Return (energy, Placed) of everything that number `k` might be instead, itself first."""
         view = self.view(placed, k)
-        rows, anchor = self.rows(placed), placed[k].anchor
+        rows, anchor = state_of(placed).rows, placed[k].anchor
         own = placed[k]
         found = []
         if own.known is not None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.scene.codec.yaml_tree import read_yaml
+from derender.scene.pose import rotation_z
 from derender.scene.priors.reading import read_shape
 from derender.scene.shapes import Body, shapes
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -78,7 +79,7 @@ class Known:
         that its symmetry makes one only the first is there.
         """
         found: list[np.ndarray] = []
-        eighths = [turn(k * np.pi / 4) for k in range(8)]
+        eighths = [rotation_z(k * np.pi / 4)[:3, :3] for k in range(8)]
         for down in range(3):
             for sign in (1.0, -1.0):
                 z = np.zeros(3)
@@ -100,12 +101,6 @@ class Known:
         if symmetry.axis == "z":
             return bool(abs(relative[2, 2]) > 0.999)
         return bool(any(np.trace(relative @ other) > 2.999 for other in symmetry.rotations))
-
-
-def turn(angle: float) -> np.ndarray:
-    """Return the rotation (3, 3) about the vertical."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def read_library(path: str | Path) -> tuple[Known, ...]:

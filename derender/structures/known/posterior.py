@@ -6,24 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.graph import (
-    FLOOR_NAME,
-    best_contact,
-    floating,
-    order_of,
-    periods_of,
-    pose_of,
-    turns_freely,
-    vertex_of,
-    without,
-)
+from derender.detection.solids.graph import floating, periods_of, pose_of, scene_graph, turns_freely, vertex_of
 from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.polish import WALK_MOVES, walk
-from derender.detection.solids.state import FLOOR, NOTHING, State, in_the_way
+from derender.detection.solids.state import NOTHING, State, in_the_way
 from derender.results.posterior import StructurePosterior
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.structures.draws.numbers import numbers_at, parameters_of
-from derender.structures.known.identities import SCALES, Placed, Placement, identity_probabilities
+from derender.structures.known.identities import SCALES, Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import Known
 
 STEPS = 24  # of each object between two draws
@@ -79,7 +69,8 @@ def known_posterior(
         if chosen != leading and not enough(other):
             total -= weight
         elif chosen != leading:
-            part = part_of_known(rng, placement, other, names_instead(names, placed, other), floor_pose, 1, 1)
+            kept = [name if new.known is old.known else "" for name, old, new in zip(names, placed, other, strict=True)]
+            part = part_of_known(rng, placement, other, names_of(other, kept), floor_pose, 1, 1)
             parts.append(replace(part, weight=weight))
     for worse, instead, anchors in placement.rivals:
         weight = float(np.exp(-worse / settings.temper))
@@ -110,47 +101,28 @@ def enough(placed: list[Placed]) -> bool:
     return all(item.known is None or numbers[item.known.name] <= item.known.count for item in placed)
 
 
-def names_instead(names: list[str], placed: list[Placed], other: list[Placed]) -> list[str]:
-    """Return names for others than were placed: those of what is the same, and new ones for what is not."""
-    own = [name if new.known is old.known else "" for name, old, new in zip(names, placed, other, strict=True)]
-    for k, item in enumerate(other):
-        if not own[k]:
+def names_of(placed: list[Placed], kept: list[str] | None = None) -> list[str]:
+    """Return a name for each: its library's (a second one of the same: name_2), or its shape and a number.
+
+    kept : names that some have already, "" for the others.
+    """
+    names = [""] * len(placed) if kept is None else list(kept)
+    for k, item in enumerate(placed):
+        if not names[k]:
             base = item.known.name if item.known else vertex_of(item.row, item.cube, "x").shape
-            free = (name for n in range(1, len(own) + 2) if (name := f"{base}_{n}") not in own)
-            own[k] = base if item.known and base not in own else next(free)
-    return own
-
-
-def names_of(placed: list[Placed]) -> list[str]:
-    """Return a name for each: its library's (a second one of the same: name_2), or its shape and a number."""
-    counts: dict[str, int] = {}
-    names: list[str] = []
-    for item in placed:
-        base = item.known.name if item.known else vertex_of(item.row, item.cube, "x").shape
-        counts[base] = counts.get(base, 0) + 1
-        names.append(base if item.known and counts[base] == 1 else f"{base}_{counts[base]}")
+            numbered = [f"{base}_{n}" for n in range(1, len(names) + 2)]
+            numbered[0] = base if item.known else numbered[0]
+            names[k] = next(name for name in numbered if name not in names)
     return names
 
 
 def graph_of(placed: list[Placed], parents: list[int], floor_pose: np.ndarray, names: list[str]) -> SceneGraph:
     """Return the scene graph of what was placed."""
-    parents = list(parents)
-    order = order_of(parents)
-    graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
-    for k in order:
-        item = placed[k]
-        vertex = vertex_of(item.row, item.cube, names[k])
-        if item.known is not None:
-            known = item.known
-            pose = floating(pose_of_known(item.row))
-            vertex = Vertex(names[k], known.shape, known.parameters, ROOT, pose, known.options)
-        parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
-        contact = best_contact(graph.add(vertex), names[k], parent, item.row)
-        if contact is not None:
-            contact = contact if k in parents else without(contact, "roll")
-            vertex = replace(vertex, parent=parent, contact=contact)
-        graph = graph.add(vertex)
-    return graph
+    given = {k: Vertex(names[k], item.known.shape, item.known.parameters, ROOT, floating(pose_of_known(item.row)),
+                       item.known.options) for k, item in enumerate(placed) if item.known is not None}  # fmt: skip
+    state = state_of(placed)
+    state.parents = list(parents)
+    return scene_graph(state, floor_pose, names, given=given)
 
 
 def pose_of_known(row: np.ndarray) -> np.ndarray:
@@ -206,11 +178,11 @@ def walk_one(
     item, settings, image = placed[k], placement.settings, placement.image
     depth, _, misfit = view = placement.view(placed, k)
     if item.known is None:
-        rows = in_the_way(placement.rows(placed), settings)
+        rows = in_the_way(state_of(placed).rows, settings)
         row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
                    settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip
         return replace(item, row=row)
-    row, _ = placement.walked(rng, item.known, item.row, item.base, placement.rows(placed), k, view, scale, STEPS, 1.0,
+    row, _ = placement.walked(rng, item.known, item.row, item.base, state_of(placed).rows, k, view, scale, STEPS, 1.0,
                               settings.temper, adapt)  # fmt: skip
     return replace(item, row=row)
 
