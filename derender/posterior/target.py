@@ -248,9 +248,7 @@ class SceneTarget:
         """Return the (P,) values of a scene of this structure, 0 where a contact leaves one out; undoes `graph`."""
         numbers: dict[str, Any] = {}
         if self._root_free and self.root_prior is not None:
-            numbers.update(self.root_prior.values(graph.root_pose))
-        for axis, x in zip("wxyz", numbers.pop("root.quat_wxyz", ()), strict=False):
-            numbers[f"root.q{axis}"] = x
+            numbers.update(self.root_prior.numbers(graph.root_pose))
         numbers.update(graph.numbers())
         return np.array([numbers.get(address, 0.0) for address in self.space.addresses])
 

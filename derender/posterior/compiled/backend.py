@@ -138,25 +138,13 @@ class InterpretedBackend:
         self._chain.values[NEXT, :-2] = kept[0]
         return kept[1]
 
-    def _put_down(
-        self,
-        objects: tuple[str, ...],
-        rng: np.random.Generator,
-        vertices: Any,
-        laws: np.ndarray,
-        numbers: Any,
-        pose: np.ndarray | None,
-        relative: Any,
-        there: Any,
-        put: np.ndarray,
-        base: int,
-        face: int,
-        thetas: np.ndarray,
-        places: np.ndarray,
-        propose_at: int,
-    ) -> float:
-        """Propose another place of some objects; return the log ratio with the log Jacobian of all contacts."""
+    def _put_down(self, objects: tuple[str, ...], rng: np.random.Generator, *told: Any) -> float:
+        """Propose another place of some objects; return the log ratio with the log Jacobian of all contacts.
+
+        told : what `evaluate.put_down` is told, of which the last two, places and the proposal, are needed here.
+        """
         target: Any = self.target
+        *_, places, propose_at = told
         now, periods = self._chain.values[NOW, :-2].copy(), [target.placement_periods(name) for name in objects]
         old = np.concatenate([target.placement(now, name) for name in objects])
         new = np.empty(len(old))

@@ -229,9 +229,7 @@ def chain_of(target: Any, cycle: bool) -> Chain:
     size, directions = len(target.space.addresses), int(target.space.directions[-1])
     numbers = np.tile(numbers_of(graph), (2, 1, 1))
     if root_code(target) != FIXED_ROOT:
-        coordinates = dict(target.root_prior.values(graph.root_pose))
-        for key, value in zip(("qw", "qx", "qy", "qz"), coordinates.pop("root.quat_wxyz", ()), strict=False):
-            coordinates[f"root.{key}"] = value
+        coordinates = target.root_prior.numbers(graph.root_pose)
         for slot, key in enumerate(ROOT_SLOTS[root_code(target)]):
             numbers[:, count, slot] = coordinates[f"root.{key}"]
     pose = np.tile(np.eye(4), (2, count + 1, 1, 1))

@@ -269,13 +269,13 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
                     shape = (parent, child)[index]
                     what = f"the {key} {each!r} of a {shape} has no {kind} contact"
                     raise section[key].fault(what, suggest(each, known))
-        faces = [face if face is not None else _default_face(pairs, wanted, index) for index, face in enumerate(wanted)]
+        faces = [face if face is not None else _default_face(pairs, index) for index, face in enumerate(wanted)]
         rule = ContactRule(kind, 1.0, faces[0], faces[1], values, (parent,), None, False, {**places, "": section})
         rules.append(rule)
     return ContactPrior(tuple(rules))
 
 
-def _default_face(pairs: list, wanted: list, index: int) -> str | None:
+def _default_face(pairs: list, index: int) -> str | None:
     """Return the face meant where a file names none: the parent's top, the child's bottom, else the first there is."""
     best = ("+z", "-z")[index]
     names = [pair[index] for pair in pairs]

@@ -51,6 +51,11 @@ class RootPrior:
         """Return the coordinates of a pose by address, free and fixed ones."""
         return {}
 
+    def numbers(self, pose: np.ndarray) -> dict[str, float]:
+        """Return the same, a rotation as its four numbers: "root.qw" to "root.qz"."""
+        found = self.values(pose)
+        return found | {f"root.q{axis}": x for axis, x in zip("wxyz", found.pop(ROTATED, ()), strict=False)}
+
     def log_density(self, pose: np.ndarray) -> float:
         """Return the log density of a pose."""
         raise NotImplementedError

@@ -21,7 +21,7 @@ from derender.errors import DerenderError
 from derender.registry import Parameter, suggest
 from derender.scene.pose import from_quaternion
 from derender.scene.shapes.base import FACE_NAMES, NONE, SIDES, Options, Psi, Shape, shapes
-from derender.scene.shapes.kinds import box_mesh
+from derender.scene.shapes.kinds import ROTATIONS, box_mesh
 
 MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
 LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
@@ -112,8 +112,6 @@ def upright(box_from_file: np.ndarray) -> np.ndarray:
 
     The fit orders the box's axes by length; people who wrote the file meant its own z to be up.
     """
-    from derender.scene.shapes.kinds import ROTATIONS
-
     traces = np.einsum("kij,ji->k", ROTATIONS, box_from_file[:3, :3])
     turn = np.eye(4)
     turn[:3, :3] = ROTATIONS[int(np.argmax(traces))]

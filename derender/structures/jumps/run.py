@@ -82,23 +82,17 @@ def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, a
             continue
         for kind, entry in words.shapes.items():
             turned = entry.type != "sphere" and {entry.type, vertex.shape} != {"cylinder"}
-            turns, likely = ROTATIONS if turned else np.eye(3)[None], 1.0 if entry.type == vertex.shape else OTHER_KIND
-            found += _named(kind, entry, poses[vertex.name], size, turns, up, likely, length, angle)
+            likely = 1.0 if entry.type == vertex.shape else OTHER_KIND
+            named = _named(entry, poses[vertex.name], size, ROTATIONS if turned else np.eye(3)[None], up)
+            found += [Hypothesis(kind, *each, likely / len(named), length, angle) for each in named]
     return found
 
 
 def _named(
-    kind: str,
-    entry: "ShapePrior",
-    pose: np.ndarray,
-    size: np.ndarray,
-    turns: np.ndarray,
-    up: np.ndarray,
-    likely: float,
-    length: float,
-    angle: float,
-) -> list[Hypothesis]:
-    variants: list[Hypothesis] = []
+    entry: "ShapePrior", pose: np.ndarray, size: np.ndarray, turns: np.ndarray, up: np.ndarray
+) -> list[tuple[dict[str, float], np.ndarray]]:
+    """Return (parameters, pose) of a solid as a shape, its axes named anew by some turns (K, 3, 3), each once."""
+    variants: list[tuple[dict[str, float], np.ndarray]] = []
     rounded = entry.type in ("cylinder", "sphere")  # which turn about its own axis tells nothing of
     for turn in turns:
         new, extents = pose.copy(), np.abs(turn.T) @ size  # the same box, its axes named anew
@@ -107,10 +101,10 @@ def _named(
             continue
         psi = shapes[entry.type].psi_from_size(extents, entry.options)
         parameters = {p.name: round(float(x), 9) for p, x in zip(shapes[entry.type].parameters, psi, strict=True)}
-        alike = [h for h in variants if h.parameters == parameters]
-        if not alike or (not rounded and all(abs(new[:3, :3] @ h.pose[:3, :3].T)[0, 0] < 0.999 for h in alike)):
-            variants.append(Hypothesis(kind, parameters, new, likely, length, angle))
-    return [h._replace(weight=likely / len(variants)) for h in variants]
+        alike = [other for known, other in variants if known == parameters]
+        if not alike or (not rounded and all(abs(new[:3, :3] @ other[:3, :3].T)[0, 0] < 0.999 for other in alike)):
+            variants.append((parameters, new))
+    return variants
 
 
 def start_graph(words: Vocabulary, base: SceneGraph, seen: SceneGraph) -> SceneGraph:
