@@ -74,16 +74,14 @@ def shown(
     from scipy.ndimage import binary_erosion
 
     good = np.isfinite(depth) & binary_erosion(mask, iterations=RIM)
-    rows, columns = np.nonzero(good)
-    ray = np.column_stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))])
     inner = inverse(pose)
-    way, origin = ray @ inner[:3, :3].T, inner[:3, 3]
+    way, origin = camera.rays()[good] @ inner[:3, :3].T, inner[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         enter = np.min([(end - origin) / way for end in (-0.5 * size, 0.5 * size)], axis=0)
     normal = enter.argmax(axis=1)
     hit, across = (np.take_along_axis(each, normal[:, None], axis=1) for each in (enter, way))
     # along a face the place moves by the ray's turn, its part across the face taken out by a change of depth
-    step = np.zeros((len(rows), 3))
+    step = np.zeros(way.shape)
     for turn in (inner[:3, 0] / camera.fx, inner[:3, 1] / camera.fy):
         step += np.abs(hit * (turn - way * turn[normal][:, None] / across))
     place = origin + hit * way + 0.5 * size

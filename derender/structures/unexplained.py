@@ -162,8 +162,7 @@ def hidden_expected(rng: np.random.Generator, refined: Any, beliefs: Beliefs | N
     if total < LEAST_AREA:
         return 0.0
     rows, columns = hidden[rng.choice(len(hidden), size=TRIES, p=area / total)].T
-    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(TRIES)], axis=1)
-    places = (ray * bare[rows, columns, None] - floor[:3, 3]) @ floor[:3, :3]
+    places = (camera.rays()[rows, columns] * bare[rows, columns, None] - floor[:3, 3]) @ floor[:3, :3]
     drawn = drawn_rows(rng, places, beliefs)
     drawn = drawn[out_of_sight(drawn, floor, camera, depth)]
     for view in refined.sensor.others:
@@ -177,8 +176,7 @@ def hidden_expected(rng: np.random.Generator, refined: Any, beliefs: Beliefs | N
 def floor_areas(pixels: np.ndarray, depth: np.ndarray, floor: np.ndarray, camera: Camera) -> np.ndarray:
     """Return (n,) the square metres of floor, met at a depth (H, W), in each pixel of (n, 2) rows and columns."""
     rows, columns = pixels.T
-    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))], axis=1)
-    steepness = np.maximum(np.abs(ray @ floor[:3, 2]), LEAST_STEEPNESS)
+    steepness = np.maximum(np.abs(camera.rays()[rows, columns] @ floor[:3, 2]), LEAST_STEEPNESS)
     return depth[rows, columns] ** 2 / (camera.fx * camera.fy) / steepness
 
 

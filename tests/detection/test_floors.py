@@ -10,7 +10,7 @@ from table_scenes import CAMERA, SIGMA, TABLE
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate
 from derender.detection.floor import LEVEL
-from derender.detection.floors import find_floor, floors_of
+from derender.detection.floors import find_backdrop, find_floor, floors_of
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Rival, observe
 from derender.detection.solids.beliefs import bare_image
@@ -138,3 +138,16 @@ def test_the_odds_of_floors_are_those_of_the_file(rng):
     loose = bare_image().loose
     none = Settings(beliefs=bare_image()._replace(loose=replace(loose, floor=replace(loose.floor, none=1.0))))
     assert point_estimate(rng, image, WIDE, none)[1].no_floor and not point_estimate(rng, image, WIDE)[1].no_floor
+
+
+def test_a_backdrop_reaches_three_sides_of_the_image():
+    depth = np.random.default_rng(0).normal(1.0, 0.001, (48, 64))
+    depth[16:32, 20:44] = 0.8  # a solid before it
+    camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    plane, beyond = find_backdrop(depth, camera)
+    assert plane.pose[:3, 2] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+    assert beyond.mean() > 0.85 and not beyond[16:32, 20:44].any()
+    island = np.full(depth.shape, np.nan)
+    island[10:40, 12:52] = depth[10:40, 12:52]
+    assert find_backdrop(island, camera) is None
+    assert find_backdrop(np.full(depth.shape, np.nan), camera) is None

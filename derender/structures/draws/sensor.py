@@ -124,9 +124,7 @@ def model_depth(chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarr
 
 def floor_depth(floor: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the depth (H, W) of a floor alone, inf where it is not met."""
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(columns.shape)], axis=-1)
-    along = ray @ floor[:3, 2]
+    along = camera.rays() @ floor[:3, 2]
     with np.errstate(divide="ignore"):
         depth = (floor[:3, 3] @ floor[:3, 2]) / along
     return np.where(depth > 0.0, depth, np.inf)
