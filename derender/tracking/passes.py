@@ -6,12 +6,13 @@ the sum of its costs, under one noise for all.
 """
 
 from collections.abc import Callable
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derender.tracking.drawing import DEVIATION
-from derender.tracking.thing import LOST, Start
+from derender.tracking.thing import LOST, STILL, Start
 from derender.tracking.track import Recorder, Track
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ class Passes:
     def best(self) -> "Pass":
         """Return the best pass, beginning with one from the first frame."""
         found = self.improved(self.go(0, self.begin(self.frames[0])))
+        if self.moving_camera and found.cut is None and len(self.frames) > 1:
+            return self.anchored(found)
         if self.moving_camera or found.explained() or found.cut is not None:
             return found
         noise = found.start
@@ -66,6 +69,18 @@ class Passes:
             if found.explained():
                 break
         return found
+
+    def anchored(self, found: "Pass") -> "Pass":
+        """Return the pass, or one backward from the last frame if more rests in it: only that tells a camera's path.
+
+        What slides as a film begins often rests as it ends, and once nothing rests no later frame anchors the camera.
+        """
+        reverse = copy(self)
+        if self.gravity is not None:
+            reverse.gravity = found.forward.seen[-1].view[:3, :3] @ self.gravity
+        other = reverse.improved(reverse.go(len(self.frames) - 1, self.begin(self.frames[-1])))
+        same = other.cut is None and len(other.start.things) == len(found.start.things)
+        return other if same and other.rests() > found.rests() and other.cost() < found.cost() + BETTER else found
 
     def improved(self, found: "Pass") -> "Pass":
         """Return the pass, or one with the sizes that it ended with, where they differ from those of its beginning."""
@@ -124,6 +139,11 @@ class Pass:
     def cost(self) -> float:
         """Return the sum of the costs."""
         return float(self.costs()[0].sum())
+
+    def rests(self) -> int:
+        """Return in how many frames things rest, summed over them."""
+        seen = [*(self.backward.seen[1:] if self.backward else []), *self.forward.seen]
+        return sum(frame.states.count(STILL) for frame in seen)
 
     def explained(self) -> bool:
         """Whether nothing is lost and no frame costs much more than the cheapest one."""

@@ -181,12 +181,14 @@ class Recorder:
             extents[t, mine], pixels[t, mine] = size, frame.pixels
             for column, state in zip(mine, frame.states, strict=True):
                 states[t][column] = state
-        kinds = np.array([thing.kind for thing in things])
+        kinds, first = np.array([thing.kind for thing in things]), rows[0][0].view  # whose axes are the world's
         track = Track(
             [thing.name for thing in things], [thing.type for thing in things], kinds,
             np.arange(length) * tracker.step if times is None else np.asarray(times)[:length],
             list(frames or [])[:length], extents, poses, covariances, states, np.zeros(0),
-            np.array([row[0].view for row in rows]), tracker.floor, self.gravity,
+            np.array([row[0].view for row in rows]) @ np.linalg.inv(first),
+            None if tracker.floor is None else first @ tracker.floor,
+            first[:3, :3] @ self.gravity,
             np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,
             1.0 / tracker.camera.fx,
         )  # fmt: skip

@@ -6,8 +6,9 @@ import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
 from derender.render.raycast.normal_equations import cost
-from derender.scene.pose import rotation_angle
+from derender.scene.pose import inverse, rotation_angle
 from derender.tracking import fit
+from derender.tracking.passes import Passes
 from derender.tracking.result import events_of
 from derender.tracking.track import Recorder
 from derender.tracking.tracker import QUARTERS, Tracker
@@ -188,6 +189,33 @@ def test_a_camera_that_moves_is_told_from_things_that_do(count, seed):
     # metres and radians: the boxes are eight pixels wide
     assert np.abs(track.views[-1] - moved[-1]).max() < (0.07 if count == 2 else 0.03)
     assert track.states[-1][1] == "moving" and track.states[-1][2:] == ["still"] * (count - 2)
+
+
+def test_a_cameras_path_begins_at_the_first_frame_whichever_frame_anchors_it():
+    views = [films.view() @ at(0.006 * t, 0, 0) for t in range(6)]
+    paths = [[at(-0.06, 0, 0.035), at(0.06, 0.05, 0.025)]] * 6
+    frames, poses = film(np.random.default_rng(0), ["box", "box"], [BOX_A, BOX_B], paths, views)
+    last = start(["box", "box"], [BOX_A, BOX_B], poses[-1])._replace(floor=views[-1])
+    passes = Passes(list(frames), CAMERA, GRAVITY, 1 / FPS, None, None, True)
+    track = passes.go(5, last).track(np.arange(6) / FPS, [])
+    np.testing.assert_allclose(track.views[0], np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(track.floor, views[0], atol=0.02)
+    off = (inverse(track.views) - inverse(films.still_view_of(views)))[:, :3, 3]
+    assert np.linalg.norm(off, axis=1).max() < 0.02
+
+
+@pytest.mark.parametrize("rests, cost, backward", [(9, 100.0, True), (3, 100.0, False), (9, 300.0, False)])
+def test_a_moving_camera_is_anchored_where_more_rests_unless_that_explains_less(rests, cost, backward):
+    """What slid as a film began held nothing, and a camera went .4 m astray where both boxes rested in the end."""
+
+    def made(rests, cost):
+        told = {"rests": lambda _: rests, "cost": lambda _: cost, "cut": None, "start": start([], [], [])}
+        return type("Pass", (), told)()
+
+    passes = Passes([None, None], CAMERA, None, 1 / FPS, lambda depth: None, None, True)
+    first, other = made(5, 110.0), made(rests, cost)
+    passes.go, passes.improved = lambda *_: other, lambda found: found
+    assert (passes.anchored(first) is other) == backward
 
 
 def test_a_cut_ends_the_track_and_is_said():
