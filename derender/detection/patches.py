@@ -13,11 +13,19 @@ APART = 6.0  # widths of a pixel between the points of neighbours that belong to
 
 
 def components(tied: np.ndarray) -> list[list[int]]:
-    """Return what hangs together, in order, of N things of which some are tied (N, N) bool to each other."""
-    from scipy.sparse.csgraph import connected_components
+    """Return what hangs together, in order, of N things of which some are tied (N, N) bool to each other.
 
-    count, part = connected_components(tied, directed=False)
-    return [np.flatnonzero(part == k).tolist() for k in range(count)]
+    Without scipy, whose import takes long.
+    """
+    tied, found, left = tied | tied.T, [], list(range(len(tied)))
+    while left:
+        part, ahead = set[int](), {left[0]}
+        while ahead:
+            part |= ahead
+            ahead = set(np.flatnonzero(tied[list(ahead)].any(axis=0)).tolist()) - part
+        found.append(sorted(part))
+        left = [k for k in left if k not in part]
+    return found
 
 
 @njit(cache=True, nogil=True)
