@@ -83,7 +83,8 @@ def powers_of(graph: "SceneGraph") -> dict[str, int]:
 
 
 def likelihood_in_metres(numbers: Any, unit: float) -> dict[str, float | str]:
-    """Return a likelihood's type and numbers, as a scene file has them, with lengths in metres."""
+    """Return a likelihood's type and numbers, as a scene file has them, with lengths in metres, in their ranges."""
     powers = {"m": 1, "1/m": -1}
-    units = {p.name: powers.get(p.unit, 0) for p in likelihoods[numbers["type"]].parameters}
-    return {k: v * unit ** units[k] if k in units else v for k, v in numbers.items()}
+    known = {p.name: (powers.get(p.unit, 0), p.lower, p.upper) for p in likelihoods[numbers["type"]].parameters}
+    scaled = {k: float(np.clip(numbers[k] * unit**power, *ends)) for k, (power, *ends) in known.items() if k in numbers}
+    return {**numbers, **scaled}

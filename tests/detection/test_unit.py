@@ -9,7 +9,7 @@ from derender.camera.intrinsics import Camera
 from derender.detection import unit as detection_unit
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import render_floor_scene
-from derender.detection.unit import part_in_metres
+from derender.detection.unit import likelihood_in_metres, part_in_metres
 from derender.evaluation.made_scenes import SETS, make_scene, photograph
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_z, translation
@@ -76,3 +76,9 @@ def test_a_scene_many_times_as_large_or_small_is_found(times):
     assert found.meta["likelihood"]["sigma"] == pytest.approx(noise, rel=0.25)
     missed = found.meta["missed"]
     assert missed > 0.0 and sum(part.weight for part in found.parts) == pytest.approx(1.0 - missed)
+
+
+def test_a_noise_at_the_end_of_its_range_stays_in_it_in_metres():
+    least = {"type": "gaussian", "sigma": 1e-6, "blur": 0.5}
+    assert likelihood_in_metres(least, 0.96) == least
+    assert likelihood_in_metres(least, 3.0) == {**least, "sigma": pytest.approx(3e-6)}
