@@ -11,7 +11,6 @@ import numpy as np
 
 from derender import __version__
 from derender.atomic import files_together
-from derender.errors import DerenderError
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL
 from derender.tracking.track import Track
 
@@ -174,24 +173,3 @@ def write_track(folder: Path, track: Track, page: str, made: dict[str, Any]) -> 
         lines = "".join(json.dumps(event) + "\n" for event in events_of(track))
         (temporary / "events.jsonl").write_text(lines, encoding="utf-8")
         (temporary / "report.html").write_text(page, encoding="utf-8")
-
-
-def read_track(path: str | Path) -> Track:
-    """Read a track.npz, or that of a folder. DerenderError: no such file, or not one of ours."""
-    path = Path(path)
-    path = path / "track.npz" if path.is_dir() else path
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
-            floor = file["floor"]
-            return Track(
-                file["names"].tolist(), file["types"].tolist(), file["kinds"], file["times"], file["frames"].tolist(),
-                file["sizes"], file["poses"], file["covariances"], file["states"].tolist(),
-                file["parent_probability"], file["views"], None if np.isnan(floor).any() else floor, file["gravity"],
-                file["rounds"], file["pixels"], header["notes"], header["cut"],
-            )  # fmt: skip
-    except FileNotFoundError:
-        remedy = "derender infer FRAMES --track -o DIR writes one"
-        raise DerenderError("there is no track here", path, remedy) from None
-    except (OSError, ValueError, KeyError, EOFError) as fault:
-        raise DerenderError("not a track written by derender", path, "give a DIR made with --track") from fault

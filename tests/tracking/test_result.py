@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from browser import needed, violations
 
-from derender.errors import DerenderError
 from derender.tracking.page import report_page, with_materials
-from derender.tracking.result import FILES, events_of, read_track, track_json, write_track
+from derender.tracking.result import FILES, events_of, track_json, write_track
 from derender.tracking.track import Recorder
 
 
@@ -23,14 +22,15 @@ def made():
     return recorder.track(frames=[f"{t}" for t in range(4)]), frames
 
 
-def test_a_track_is_written_and_read_again(tmp_path):
+def test_a_track_is_written_as_it_is(tmp_path):
     track, frames = made()
     page = report_page(track, frames, films.CAMERA, events_of(track), "a film")
     write_track(tmp_path, track, page, {"seed": 3, "command": "test"})
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(FILES)
-    again = read_track(tmp_path)
-    assert again.names == track.names and np.array_equal(again.poses, track.poses) and again.states == track.states
-    assert again.parents() == track.parents()
+    with np.load(tmp_path / "track.npz", allow_pickle=False) as again:
+        assert again["names"].tolist() == track.names and again["states"].tolist() == track.states
+        assert np.array_equal(again["poses"], track.poses)
+        assert np.array_equal(again["parent_probability"], track.parent_probability)
     told = json.loads((tmp_path / "track.json").read_text())
     assert told["seed"] == 3 and told["version"] and len(told["objects"][0]["poses"]) == 4
     lines = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
@@ -57,8 +57,3 @@ def test_what_is_lost_is_null_in_the_json_and_counted():
     assert item["poses"][2] is None and item["parents"][2] is None and item["lost"] == [2]
     assert item["type"] == "box" and len(item["size"]) == 3
     json.dumps(track_json(track), allow_nan=False)
-
-
-def test_a_folder_without_a_track_is_said(tmp_path):
-    with pytest.raises(DerenderError, match="--track"):
-        read_track(tmp_path)
