@@ -5,7 +5,6 @@ weighed by integrals (`alternatives.py`). Of a real sensor's image, whose neighb
 likelihood is `correlated`; and faces are off where they appear (`draws/faces.py`).
 """
 
-import math
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -51,9 +50,6 @@ from derender.structures.weighing import Weighed, made_sure, surest, surest_of_e
 ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
 MOST_MERGES, MOST_CUTS = 4, 3
 AHEAD = THREADS  # solids whose changes are weighed side by side, in vain after one that leads to a better structure
-# Nats by which another structure is to be likelier than that against which all are weighed for it to take its place,
-# and how many standard errors are left out of what counts.
-CLEARLY, SURE = 1.0, 2.0
 WORTH_DRAWING = 0.05  # weight of a structure that gets draws of its own, not its mode alone
 # Structures less probable than the best by more than this many nats are not reported; how many are, at most.
 NEGLIGIBLE, MOST_PARTS = 8.0, 12
@@ -152,8 +148,8 @@ class DrawsOfOne:
 def weighed_structures(rng, first, energy, pool, settings, made=None):
     """Return (Refined, log odds, names, error) of the structures that the search met and of those near the best.
 
-    The likeliest comes first, with odds 0. Errors are those of the odds against one that is about as likely, which has
-    none. A solid has the same name in all.
+    The likeliest comes first, with odds 0 and no error: those of the others are of their odds against it. A solid has
+    the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
     made : DrawsOfOne, by which odds that are close are made sure; None: they are left as they are.
@@ -169,7 +165,7 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         best = climbed_higher(rng, best)
         former, others = one_solid_each(rng, best, others, rules, shapes)
-        near = [] if number else from_search(former, others, pool, energy, settings.temper)
+        near = [] if number else from_search(former, pool, energy, settings.temper)
         near += additions(rng, former, settings)  # with those of the search: the integral over the best is made once
         best, others = leading(former, [*others, *weighed_whole(rng, former, near, rules, QUICK)])
         if made is not None and best is former:
@@ -221,32 +217,15 @@ def one_solid_each(
 
 
 def leading(best: Refined | str, others: list[Weighed]) -> tuple[Refined | str, list[Weighed]]:
-    """Return the best, or one of the Weighed of others that is clearly likelier, and the rest with odds against it.
+    """Return the likeliest of the best and the Weighed of others, and the rest with odds against it.
 
-    Of structures that are about as likely either may be what others are weighed against: to go over to the other, and
-    back as the next integrals happen to fall, added each time what these were off by to all other odds, upwards.
+    What was weighed against another best keeps its odds, with the error of both; it shares no coordinates any more.
     """
-    leader = max(others, key=surely, default=None)
-    if leader is None or surely(leader) <= CLEARLY:
+    leader = max(others, key=lambda each: each.odds, default=None)
+    if leader is None or leader.odds <= 0.0:
         return best, others
-    rest = [against(leader, each) for each in others if each is not leader]
+    rest = [each for each in others if each is not leader]
+    rest = [each._replace(odds=each.odds - leader.odds, error=float(np.hypot(each.error, leader.error)), places=None)
+            for each in rest]  # fmt: skip
     back = None if leader.places is None else leader.places[::-1]
     return leader.trial, [*rest, Weighed(best, -leader.odds, leader.error, back)]
-
-
-def surely(weighed: Weighed) -> float:
-    """Return the nats by which a structure is likelier than the best, its error apart."""
-    return weighed.odds - SURE * weighed.error
-
-
-def against(leader: Weighed, other: Weighed) -> Weighed:
-    """Return what was weighed against a former best with odds against the one that leads it, the errors of both.
-
-    They may differ in the solids in which either differs from the former, where all of these keep their places.
-    """
-    places = None
-    if leader.places is not None and other.places is not None:
-        solids = tuple(sorted({*leader.places[0], *leader.places[1], *other.places[0], *other.places[1]}))
-        counts = len(leader.trial.state), len(other.trial.state)
-        places = (solids, solids) if counts[0] == counts[1] > solids[-1] else None
-    return other._replace(odds=other.odds - leader.odds, error=math.hypot(other.error, leader.error), places=places)

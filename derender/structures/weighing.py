@@ -39,14 +39,12 @@ from derender.structures.draws.refined import (
 # Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
 # that had it, 5 below the best. And the error that is taken for its own.
 IMPROBABLE, NEAR_ERROR = 14.0, 2.0
-DRAWS = 150  # to which the mixture is fitted from which an integral is taken
+# Draws from which an integral is taken, and its error in nats at which others are drawn: a walk may have met a place
+# from which few return, and one of four that disagrees by five nats had weights change by .2.
+DRAWS, FAILED = 150, 1.0
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES, MORE = 4, 8  # of the rest, drawn for odds that are close, and for those that are open then
-# Coordinates times pixels up to which odds that are close are those of integrals over everything, made so many times:
-# with a corner of a solid in some ten pixels the floor and all solids give way to it, and what is drawn of them made
-# the ratio vary by e^9.
-TOGETHER, TIMES = 40_000, 3
 OPEN = 3.0, 0.2  # nats of odds, either way, and their error: two weights of a half are known to .05 then
 NOTHING = 20.0  # nats below another at which a ratio is 0 beside it: a two-billionth
 SETTLING = 30  # steps of each temperature for each solid that changes, where the rest is drawn
@@ -79,16 +77,21 @@ def evidence_and_draws(rng: np.random.Generator, refined: Refined,
         return Evidence(held, 0.0), np.empty((0, len(values)))
     steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
 
-    (drawn,) = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
-    return log_evidence(rng, chart, sensor, values, drawn.values, members), drawn.values
+    def integrated() -> tuple[Evidence, np.ndarray]:
+        drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
+        return log_evidence(rng, chart, sensor, values, drawn, members), drawn[0].values
+
+    found = integrated()
+    if found[0].standard_error < FAILED or sensor.worth < 1.0:
+        return found
+    return min(found, integrated(), key=lambda each: each[0].standard_error)
 
 
 class Block:
-    """Some solids of a structure with the others at their mode, or all and the floor (None): its integrals, each made
-    once."""
+    """Some solids of a structure with the others at their mode: its integrals, each made once."""
 
-    def __init__(self, refined: Refined, places: list[int] | None) -> None:
-        self.refined, self.places = refined, None if places is None else tuple(places)
+    def __init__(self, refined: Refined, places: list[int]) -> None:
+        self.refined, self.places = refined, tuple(places)
         self.apart = refined.sensor.log_prior()  # it is in no integral
         self._evidence: Any = None
 
@@ -104,20 +107,19 @@ class Block:
         return self._evidence
 
 
-def of_block(rng: np.random.Generator, block: Block, own: Block) -> Weighed:
+def of_block(rng: np.random.Generator, trial: Refined, places: list[int], own: Block) -> Weighed:
     """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
 
-    block : of those solids in it. own : of those of the best.
+    places : indices of those solids in it. own : Block of those of the best.
     """
-    both = None if block.places is None or own.places is None else (block.places, own.places)
-    near = Weighed(block.refined, block.near - own.near, NEAR_ERROR, both)
-    if near.odds < -IMPROBABLE:
-        return near
+    block = Block(trial, places)
+    both = block.places, own.places
+    odds = block.near - own.near
+    if odds < -IMPROBABLE:
+        return Weighed(trial, odds, NEAR_ERROR, both)
     found, held = block.evidence(rng), own.evidence(rng)
     error = math.hypot(found.standard_error, held.standard_error)
-    if error > NEAR_ERROR:  # normals about both modes tell more
-        return near
-    return near._replace(odds=found.log + block.apart - held.log - own.apart, error=error)
+    return Weighed(trial, found.log + block.apart - held.log - own.apart, error, both)
 
 
 def surest(alike: list[Weighed]) -> Weighed:
@@ -135,10 +137,10 @@ def surest(alike: list[Weighed]) -> Weighed:
 
 
 def surest_of_each(weighed: list[Weighed]) -> list[Weighed]:
-    """Return the Weighed of each structure that `surest` chooses."""
+    """Return the Weighed of each structure and of each number of shared solids that `surest` chooses."""
     alike: dict[tuple, list] = {}
     for each in weighed:
-        alike.setdefault(discrete_part(each.trial.state), []).append(each)
+        alike.setdefault((discrete_part(each.trial.state), each.places), []).append(each)
     return [surest(some) for some in alike.values()]
 
 
@@ -148,24 +150,14 @@ def discrete_part(state: State) -> Any:
 
 
 def made_sure(rng, best, others, drawn, rules):
-    """Return the Weighed of others with those whose odds are close weighed again, by the integral over everything where
-    that costs little, else the rest drawn from the posterior: at PLACES of it, and at MORE where that leaves odds OPEN,
-    but where neighbouring pixels share noise: an integral takes five times as long there.
+    """Return the Weighed of others with those whose odds are close weighed again, the rest drawn from the posterior:
+    at PLACES of it, and at MORE where that leaves odds OPEN, but where neighbouring pixels share noise: an integral
+    takes five times as long there.
 
     drawn : function of rng that returns (n, D) draws of the best's coordinates.
     """
     others = list(others)
-    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE + each.error]
-    small = [k for k in close if max(cost_of_all(best), cost_of_all(others[k].trial)) <= TOGETHER]
-    if small:
-        tasks = [partial(over_all, refined=each) for each in (best, *(others[k].trial for k in small))]
-        found = np.array([in_threads(rng, tasks) for _ in range(TIMES)])  # logs and errors
-        own, *whole = (averaged(*each.T) for each in found.swapaxes(0, 1))
-        for k, each in zip(small, whole, strict=True):
-            apart = others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
-            odds, error = each["odds"] - own["odds"] + apart, math.hypot(each["error"], own["error"])
-            others[k] = others[k]._replace(odds=odds, error=error)
-    close = [k for k in close if k not in small and others[k].places is not None]
+    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE and each.places is not None]
     if not close:
         return others
     draws = drawn(rng)
@@ -189,11 +181,6 @@ def made_sure(rng, best, others, drawn, rules):
     return others
 
 
-def cost_of_all(refined: Refined) -> int:
-    """Return the coordinates of a Refined times the pixels of its views."""
-    return len(refined.values) * sum(view.observed.size for view in refined.sensor.views)
-
-
 def integrals(rng: np.random.Generator, best: Refined, places: tuple[int, ...], draws: np.ndarray) -> list[Evidence]:
     """Return the Evidences over some solids of the best, and the blur, with all else at draws (n, D)."""
     return [over_all(rng, settled_at(rng, best, values, places), places) for values in draws]
@@ -214,7 +201,7 @@ def settled_at(rng: np.random.Generator, best: Refined, values: np.ndarray, plac
     return climb(rng, best.state, best.chart, start, best.sensor, SETTLING * len(places), members, ())
 
 
-def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...] | None = None) -> Evidence:
+def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]) -> Evidence:
     """Return the Evidence over the coordinates of some solids and the blur.
 
     What is drawn beside them was drawn with the blur open: under one blur it would speak for the structure whose own

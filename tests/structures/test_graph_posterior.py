@@ -300,8 +300,9 @@ def test_evidence_of_cube_against_box_is_that_of_quadrature():
         chart, values = make_chart(state, floor_pose(), Rules(0.0015))
         sizes = sorted({int(s) for s in chart.slots[0, charts.SIZE :]})
         engine = engine_of(chart, sensor)
-        (draws,) = sample(rng, chart, sensor, values, 1, 600, 12, sizes)
-        found.append(log_evidence(rng, chart, sensor, values, draws.values, sizes))
+        drawn = sample(rng, chart, sensor, values, 1, 600, 12, sizes)
+        found.append(log_evidence(rng, chart, sensor, values, drawn, sizes))
+        (draws,) = drawn
         spread = draws.values[:, sizes].std(axis=0).max()
         start = values.copy()
         start[sizes] = draws.values[:, sizes].mean(axis=0)
@@ -481,7 +482,6 @@ def test_the_likeliest_leads_and_odds_are_against_it():
     assert {each.trial: each.error for each in others} == pytest.approx({"a": 0.4, "b": 0.5, "c": 0.4})
     assert all(each.places is None for each in others)  # what they share with the new best is not known
     (back,) = leading("a", [Weighed("b", 2.0, 0.3, ((1,), (0, 2)))])[1]
-    assert leading("a", [Weighed("b", 2.0, 0.7)])[0] == "a"  # about as likely
     assert back == Weighed("a", -2.0, 0.3, ((0, 2), (1,)))  # by the coordinates that were not shared, exchanged
     assert leading("a", [Weighed("b", -2.0)]) == ("a", [Weighed("b", -2.0)])
     assert leading("a", []) == ("a", [])

@@ -74,8 +74,6 @@ SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metr
 LONGER = 2  # times that draws may go on for as long again where the chains do not agree
 MANY = 50  # coordinates from which on that may be done once more
 TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is worth
-# Points from which an integral is made, times the image's pixels; fewest and most of them.
-COST, FEW_AND_MANY = 5e7, (4000, 16000)
 BLURRINGS = 20  # times in a chain that its views' blurs are drawn anew, where they are open
 
 
@@ -449,12 +447,15 @@ def side_by_side(rng: np.random.Generator, walkers: list[Walker], proposals: lis
     ])  # fmt: skip
 
 
-def log_evidence(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, draws: np.ndarray,
-                 members: list[int]) -> Evidence:  # fmt: skip
-    """Return the Evidence of the density over coordinates `members`, from draws (n, D) of it: see sampling.evidence.
+def log_evidence(
+    rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, drawn: list[Draws], members: list[int]
+) -> Evidence:
+    """Return the Evidence of the density over coordinates `members`, from the Draws of chains: see sampling.evidence.
 
     values : (D,) where the other coordinates are held.
     """
+    chosen = np.concatenate([draws.values[:, members] for draws in drawn])
+    densities = np.concatenate([draws.densities.sum(axis=1) for draws in drawn])
     engine, touched = engine_of(chart, sensor), touched_by(chart, members)
     load(engine, chart, values)
 
@@ -464,5 +465,4 @@ def log_evidence(rng: np.random.Generator, chart: Chart, sensor: Sensor, values:
         evaluate(engine, chart, batch, touched, found)
         return found.sum(axis=1)
 
-    pixels = sum(view.observed.size for view in sensor.views)
-    return evidence(rng, target, draws[:, members], int(np.clip(COST / pixels, *FEW_AND_MANY)))
+    return evidence(rng, target, chosen, densities, len(chosen))

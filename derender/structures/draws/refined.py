@@ -343,9 +343,7 @@ def height(refined: Refined) -> float:
     return refined.log_prior + refined.log_likelihood + refined.sensor.log_prior()
 
 
-def over_blur(
-    rng: np.random.Generator, refined: Refined, solids: tuple[int, ...] | None, draws: np.ndarray
-) -> Evidence:
+def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...], draws: np.ndarray) -> Evidence:
     """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
     over these coordinates alone: what an integral under one blur misses, of blurs that are not known.
 
@@ -354,7 +352,7 @@ def over_blur(
     every structure (1 / sqrt(2 pixels) is narrow).
     """
     chart, sensor, values = refined.chart, refined.sensor, refined.values
-    members = list(range(len(values))) if solids is None else members_of(chart, solids)
+    members = members_of(chart, solids)
     points, proposed, touched = np.tile(values, (1, 1)), np.zeros(1), touched_by(chart, members)
     if members:
         mean, factor = fit(draws[:, members])
