@@ -111,6 +111,13 @@ def test_importing_derender_imports_nothing_heavy():
     assert not set(done.stdout.split()) & HEAVY
 
 
+def test_the_story_of_infer_imports_no_scipy_at_first():
+    """Its import takes longer than the search for an easy scene: it comes beside that, or where it is called."""
+    done = run("-c", "import sys, derender.workflow, derender.structures.infer; print(*sys.modules)")
+    loaded = set(done.stdout.split())
+    assert "derender.structures.infer" in loaded and "scipy" not in loaded
+
+
 def commands():
     """Return every command by name."""
     context = click.Context(group)

@@ -15,10 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from derender.detection.freestanding import LARGEST, outline_shares, stand_free
-from derender.detection.outline import convex_outline, ends_of, outline_planes
+from derender.detection.outline import ends_of
 from derender.detection.patches import APART, SeenSurface
 from derender.detection.search.bodies import label_bodies
 from derender.detection.segments import segments
+from derender.scene.hull import convex_outline, outline_planes
 
 LONG = 0.5  # metres: what is longer and cut by the image's border is no solid on a table
 CUT = 0.35  # share of a body's width or height in pixels along which a border cuts it

@@ -10,7 +10,6 @@ Whether a free-form thing is an object is told by that, and by how much of the i
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
 from derender.compilation.cache import njit
 from derender.detection.outline import ends_of
@@ -152,6 +151,8 @@ def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> flo
 
 def returns_about(seen: "Observation") -> float:
     """Return the share of the eight neighbours of an Observation's pixels that have a depth as these do."""
+    from scipy.ndimage import convolve
+
     good = (seen.image.weight > 0).astype(float)
-    about = ndimage.convolve(good, np.ones((3, 3)), mode="constant") - good
+    about = convolve(good, np.ones((3, 3)), mode="constant") - good
     return float((about * good).sum() / max(8.0 * good.sum(), 1.0))

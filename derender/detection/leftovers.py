@@ -13,7 +13,6 @@ odds, the two are as likely as each other.
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
@@ -57,6 +56,8 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
 
     The image is changed as by `take_things`.
     """
+    from scipy.ndimage import binary_erosion
+
     image, found = seen.image, []
     if settings.temper == 1.0 or not seen.mask.any():
         return state, found
@@ -72,7 +73,7 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
         low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
         if (
-            (ndimage.binary_erosion(whole) & left).sum() < INNER * mask.sum()
+            (binary_erosion(whole) & left).sum() < INNER * mask.sum()
             or high[2] <= max(LEFT_HEIGHT * seen.scale, settings.uneven)
             or max(high[:2] - low[:2]) >= LARGEST
         ):

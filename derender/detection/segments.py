@@ -8,9 +8,9 @@ that it costs less than another thing.
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.outline import convex_outline
 from derender.detection.patches import SeenSurface, separation
 from derender.detection.search.bodies import TIGHT, label_bodies
+from derender.scene.hull import convex_outline
 from derender.scene.priors.bare_image import Things
 
 REACH = 2  # pixels on either side over which the normals are compared

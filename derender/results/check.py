@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
 
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.focal import wrong_focal_length
 from derender.results.trust import LETTERS, Doubt, Region
+from derender.scene.hull import convex_outline, outline_planes
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -150,8 +150,11 @@ def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
 
 def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
     """Return the Regions of a mask (H, W), the largest first, without what is thin or small; valid : (H, W) bool."""
+    from scipy.ndimage import binary_opening
+    from scipy.ndimage import label as label_regions
+
     wide = 2 * max(1, round(mask.shape[1] / THIN)) + 1
-    label, count = ndimage.label(ndimage.binary_opening(mask, np.ones((wide, wide))))
+    label, count = label_regions(binary_opening(mask, np.ones((wide, wide))))
     sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
     order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
     return tuple(
@@ -162,15 +165,14 @@ def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
 def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions over the visible floor that are taken as background: what stands there is
     not told. What lies beyond it, the room behind a table, says nothing of what is on it."""
-    from scipy.spatial import ConvexHull
-
     valid, poses = np.isfinite(observed), graph.poses()
     points, over = camera.points(observed), np.zeros(observed.shape, bool)
     for pose in (poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None):
         shown = coherent(valid & fit.explained & (fit.label == 0), valid)
-        if shown:
-            local = (points - pose[:3, 3]) @ pose[:3, :3]
-            sides = ConvexHull(local[shown[0].mask][:, :2]).equations
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        corners = convex_outline(local[shown[0].mask][:, :2]) if shown else None
+        if corners is not None:
+            sides = outline_planes(corners)
             inside = (local[..., :2] @ sides[:, :2].T + sides[:, 2]).max(axis=-1) < -RIM
             over |= fit.background & inside & (local[..., 2] > fit.tolerance)
     regions = tuple(region for region in coherent(over, valid) if region.share > MOST_OVER)
@@ -244,10 +246,12 @@ def unborne_solids(solids: list[Region], fit: Fit, valid: np.ndarray) -> list[Do
 
 def at_the_border(solids: list[Region]) -> list[Doubt]:
     """Return doubts about solids that the image's border cuts, or that fill the image."""
+    from scipy.ndimage import binary_erosion
+
     doubts = []
     for region in solids:
         mask, filled = region.mask, float(region.mask.mean())
-        outline = int((mask & ~ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
+        outline = int((mask & ~binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         if filled > FILLING:
             words = f"{region.name} fills {percent(filled)} of the image, so that little shows what it stands on"

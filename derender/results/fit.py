@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from derender.camera.intrinsics import Camera
 from derender.render.blur import blur
@@ -151,6 +150,8 @@ def tolerance_of(observed: np.ndarray, noise: Noise) -> np.ndarray:
 
 def neighbourhood(depth: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest depth (H, W) within `reach` rows and columns; NaN counts for nothing."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     low, high = np.where(np.isfinite(depth), depth, np.inf), np.where(np.isfinite(depth), depth, -np.inf)
     side = 2 * reach + 1
-    return ndimage.minimum_filter(low, side, mode="nearest"), ndimage.maximum_filter(high, side, mode="nearest")
+    return minimum_filter(low, side, mode="nearest"), maximum_filter(high, side, mode="nearest")

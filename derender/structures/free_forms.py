@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.detection.leftovers import swaps
-from derender.detection.outline import convex_outline
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import Thing
 from derender.results.posterior import NINETY
+from derender.scene.hull import convex_outline
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.mesh import encode_surface
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE

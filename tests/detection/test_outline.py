@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from derender.detection.outline import convex_outline, ends_of, outline_planes
+from derender.detection.outline import ends_of
+from derender.scene.hull import convex_outline, outline_planes
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -4,7 +4,6 @@ import contextlib
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from derender.camera.intrinsics import Camera
 from derender.detection.background import beyond_outline, joined_to_floor, main_part, standing_bodies, walls_behind
@@ -357,7 +356,9 @@ def of_whole_image(mask: np.ndarray, seen: Observation, shape: tuple[int, int]) 
 
 def near(mask: np.ndarray, reach: int) -> np.ndarray:
     """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
-    return ndimage.maximum_filter(mask, 2 * reach + 1, mode="constant")
+    from scipy.ndimage import maximum_filter
+
+    return maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
 def raise_wall(image: Image) -> np.ndarray:

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.detection.outline import convex_outline, ends_of
+from derender.detection.outline import ends_of
 from derender.detection.patches import Patches, components
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.scene.hull import convex_outline
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
