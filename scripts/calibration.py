@@ -3,6 +3,7 @@ with them; inference gets the image and the camera. Prints the table, writes the
 
     python scripts/calibration.py -n 300 --jobs 2 -o reliability.png
     python scripts/calibration.py -n 60 --keep records.jsonl       goes on where the file ends
+    python scripts/calibration.py --pool one.jsonl two.jsonl       the table of what such files hold together
     python scripts/calibration.py -n 60 --size 64x48 --sigma 0.006 --twice      smaller images, more noise, two seeds
 
 An object is right where it overlaps a true one (one to one) by an IoU of 0.25, as in `derender eval`'s graphs; an edge
@@ -34,6 +35,7 @@ from derender.report.scene_json import scene_json  # noqa: E402
 DRAWS = 200  # scenes drawn from each posterior
 INSIDE = 0.9  # of the intervals
 HIDDEN = 0.15
+REPLICATES = 400  # of made truths, from which the error that chance alone leaves is told
 SURE = 0.99  # what is stated at least so surely is counted apart
 DIFFERENT = 0.1  # total variation between the answers of two seeds from which on they disagree
 LEAST = 1e-4  # probability that a truth which no structure found has in the log score
@@ -201,6 +203,18 @@ def expected_error(statements):
     return sum(abs(p[bins == b].mean() - right[bins == b].mean()) * np.mean(bins == b) for b in np.unique(bins))
 
 
+def told_error(statements):
+    """Return words for the expected calibration error, and for that of as many statements which are right as said.
+
+    Few statements leave an error though every probability is right; as if they were independent, which those of one
+    scene are not.
+    """
+    p, rng = np.array([s[0] for s in statements]), np.random.default_rng(0)
+    errors = [expected_error(list(zip(p, rng.random(len(p)) < p, strict=True))) for _ in range(REPLICATES)]
+    return (f"expected calibration error {expected_error(statements):.4f}, "
+            f"{np.mean(errors):.4f} (95 %: {np.quantile(errors, 0.95):.4f}) if all were as said")  # fmt: skip
+
+
 def rows_of(records):
     """Return lines of the table."""
     lines = []
@@ -208,8 +222,7 @@ def rows_of(records):
         said = [s for r in records for s in r[kind]]
         lines.append(
             f"| {kind} | {len(said)} statements | said {np.mean([s[0] for s in said]):.4f}, "
-            f"right {np.mean([s[1] for s in said]):.4f} | expected calibration error "
-            f"{expected_error(said):.4f} |"
+            f"right {np.mean([s[1] for s in said]):.4f} | {told_error(said)} |"
         )
     lines += structure_rows(records)
     entries = [e for r in records for e in r["intervals"]]
@@ -242,7 +255,7 @@ def structure_rows(records):
     sure = [right for share, right in best if share >= SURE]
     score = [np.log(max(sum(share for share, right in each if right), LEAST)) for each in stated]
     lines = [f"| structures | {len(said)} statements | likeliest said {np.mean([b[0] for b in best]):.4f}, "
-             f"right {np.mean([b[1] for b in best]):.4f} | expected calibration error {expected_error(best):.4f} |",
+             f"right {np.mean([b[1] for b in best]):.4f} | {told_error(best)} |",
              f"| structures at P >= {SURE} | {len(sure)} | right {np.mean(sure) if sure else np.nan:.4f} | |",
              f"| a search that missed it | said {np.mean([r['missed'] for r in records]):.4f}, "
              f"missed {np.mean([not any(right for _, right in each) for each in stated]):.4f} | |",
@@ -300,13 +313,26 @@ def main():
     parser.add_argument("--told", action="store_true", help="infer under the prior that scenes are drawn from")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--keep", type=Path, help="file of records, one line of JSON for each scene")
+    parser.add_argument("--pool", type=Path, nargs="+", help="infer nothing: the table of these files of records")
     parser.add_argument("-o", "--output", type=Path, help="reliability diagram, PNG")
     arguments = parser.parse_args()
+    records = pooled(arguments.pool) if arguments.pool else inferred(arguments)
+    print("\n".join(rows_of(records)))
+    if arguments.output:
+        draw_diagram(records, arguments.output)
+
+
+def pooled(paths):
+    """Return the records that files hold."""
+    return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+
+
+def inferred(arguments):
+    """Return a record for each scene that is asked for, those that are kept already among them."""
     wanted = range(arguments.first, arguments.first + arguments.n)
     records = []
     if arguments.keep and arguments.keep.exists():
-        records = [json.loads(line) for line in arguments.keep.read_text().splitlines()]
-        records = [r for r in records if r["seed"] in wanted]
+        records = [r for r in pooled([arguments.keep]) if r["seed"] in wanted]
     todo = [seed for seed in wanted if seed not in {r["seed"] for r in records}]
     chosen = arguments.prior, arguments.size, arguments.sigma, arguments.twice, arguments.told
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
@@ -315,9 +341,7 @@ def main():
             if arguments.keep:
                 with arguments.keep.open("a") as file:
                     file.write(json.dumps(record) + "\n")
-    print("\n".join(rows_of(records)))
-    if arguments.output:
-        draw_diagram(records, arguments.output)
+    return records
 
 
 if __name__ == "__main__":
