@@ -84,26 +84,25 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
                     continue
                 a0, a1, a2, length = 0.0, 0.0, 0.0, 0.0
                 for side in range(2):
-                    b = first[p] if side == 0 else second[p]
+                    b, arm = (first[p], arm_1) if side == 0 else (second[p], arm_2)
                     if b < 0:
                         continue
-                    arm = arm_1[p] if side == 0 else arm_2[p]
-                    r = residual[b]
+                    x, y, z = arm[p, 0], arm[p, 1], arm[p, 2]
                     w = (1.0 if side == 0 else -1.0) / weight[b]
-                    a0 += w * (r[0] + r[4] * arm[2] - r[5] * arm[1])
-                    a1 += w * (r[1] + r[5] * arm[0] - r[3] * arm[2])
-                    a2 += w * (r[2] + r[3] * arm[1] - r[4] * arm[0])
-                    length += w * w * (1.0 + arm[0] ** 2 + arm[1] ** 2 + arm[2] ** 2)
-                n = normal[p]
-                along = a0 * n[0] + a1 * n[1] + a2 * n[2]
-                t0, t1, t2 = a0 - along * n[0], a1 - along * n[1], a2 - along * n[2]
+                    a0 += w * (residual[b, 0] + residual[b, 4] * z - residual[b, 5] * y)
+                    a1 += w * (residual[b, 1] + residual[b, 5] * x - residual[b, 3] * z)
+                    a2 += w * (residual[b, 2] + residual[b, 3] * y - residual[b, 4] * x)
+                    length += w * w * (1.0 + x * x + y * y + z * z)
+                n0, n1, n2 = normal[p, 0], normal[p, 1], normal[p, 2]
+                along = a0 * n0 + a1 * n1 + a2 * n2
+                t0, t1, t2 = a0 - along * n0, a1 - along * n1, a2 - along * n2
                 slide = math.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
                 mu = friction[p] if rubbing else 0.0
                 gain = (along + mu * slide) / math.sqrt(length * (1.0 + mu * mu))
                 if gain > best:
                     best, chosen = gain, p
                     share = mu / slide if slide > 1e-12 * scale else 0.0
-                    ray[0], ray[1], ray[2] = n[0] + share * t0, n[1] + share * t1, n[2] + share * t2
+                    ray[0], ray[1], ray[2] = n0 + share * t0, n1 + share * t1, n2 + share * t2
             if chosen < 0:
                 break
             column = columns[count]
@@ -147,11 +146,11 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
                     value -= factor[k, q] * forward[q]
                 forward[k] = value / factor[k, k]
             solved = count
+            target[:count] = forward[:count]
             for k in range(count - 1, -1, -1):
-                value = forward[k]
-                for q in range(k + 1, count):
-                    value -= factor[q, k] * target[q]
-                target[k] = value / factor[k, k]
+                target[k] /= factor[k, k]
+                for q in range(k):
+                    target[q] -= factor[k, q] * target[k]
             step, worst = 1.0, -1
             for k in range(count):
                 if target[k] <= 0.0:

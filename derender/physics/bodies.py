@@ -59,7 +59,7 @@ class Body(NamedTuple):
         """Return its volume in cubic metres (a mesh: of its convex parts); 0 for a plane."""
         if self.kind == "mesh":
             return sum(_hull(corners)[0] for corners in self.parts or (self.vertices,))
-        length, width, height = self.size
+        length, width, height = self.size.tolist()
         return SHARE_OF_BOX[self.kind] * float(length * width * height)
 
     def reach(self) -> float:
@@ -120,7 +120,7 @@ class Matter(NamedTuple):
     @property
     def unit(self) -> float:
         """The smallest extent among the bodies, metres: contacts are near or far in terms of it."""
-        return min((float(min(body.size)) for body in self.bodies if body.kind != "plane"), default=0.1)
+        return min((min(body.size.tolist()) for body in self.bodies if body.kind != "plane"), default=0.1)
 
     @property
     def period(self) -> float:

@@ -27,7 +27,7 @@ ON_OUTLINE = 1e-9
 PARALLEL = 1e-9  # sine below which two edges are parallel
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def support(kind, pose, size, vertices, first, last, x, y, z):
     """Return how far a body reaches from its centre along the unit vector (x, y, z)."""
     if kind != MESH:
@@ -198,20 +198,22 @@ def between_segments(a, b, c, d):
     return 0.5 * (p + q), math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2)
 
 
-@njit(cache=True, nogil=True)
-def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, open_by):
-    """Return the unit vector (3,) from j to i along which two bodies overlap least, and the gap along it, metres; or
-    the first that parts them by more than `open_by`."""
-    best, gap = np.zeros(3), -math.inf
-    apart = pose[i, :3, 3] - pose[j, :3, 3]
+@njit(cache=True, nogil=True, borrows=True)
+def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, shortest, open_by, best):
+    """Write the unit vector (3,) from j to i along which two bodies overlap least, and return the gap along it, metres;
+    or the first that parts them by more than `open_by`.
+
+    shortest : the shorter of their extents, metres.
+    """
+    gap, a, b = -math.inf, pose[i], pose[j]
     flat = kind[i] == BOX and kind[j] == BOX
     usual = FLAT_AXES if flat else FLAT_AXES + ROUND_AXES
     own = normal_start[i + 1] - normal_start[i]
     for k in range(usual + own + normal_start[j + 1] - normal_start[j]):
         if k < FLAT_AXES:
-            x, y, z = flat_axis(k, pose[i], pose[j])
+            x, y, z = flat_axis(k, a, b)
         elif k < usual:
-            x, y, z = round_axis(k - FLAT_AXES, kind[i], pose[i], size[i], kind[j], pose[j], size[j])
+            x, y, z = round_axis(k - FLAT_AXES, kind[i], a, size[i], kind[j], b, size[j])
         else:
             face = k - usual + (normal_start[i] if k < usual + own else normal_start[j] - own)
             x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
@@ -219,8 +221,8 @@ def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_
         if length < 1e-6:
             continue
         x, y, z = x / length, y / length, z / length
-        between = x * apart[0] + y * apart[1] + z * apart[2]
-        handicap = FACE_PREFERENCE * min(size[i].min(), size[j].min()) if FACES <= k < FLAT_AXES else 0.0
+        between = x * (a[0, 3] - b[0, 3]) + y * (a[1, 3] - b[1, 3]) + z * (a[2, 3] - b[2, 3])
+        handicap = FACE_PREFERENCE * shortest if FACES <= k < FLAT_AXES else 0.0
         # a hull's faces look one way only, but its opposite may be as good
         for sign in (1.0, -1.0):
             sx, sy, sz = sign * x, sign * y, sign * z
@@ -228,15 +230,15 @@ def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_
                 continue
             found = (
                 sign * between
-                - support(kind[i], pose[i], size[i], vertices, vertex_start[i], vertex_start[i + 1], -sx, -sy, -sz)
-                - support(kind[j], pose[j], size[j], vertices, vertex_start[j], vertex_start[j + 1], sx, sy, sz)
+                - support(kind[i], a, size[i], vertices, vertex_start[i], vertex_start[i + 1], -sx, -sy, -sz)
+                - support(kind[j], b, size[j], vertices, vertex_start[j], vertex_start[j + 1], sx, sy, sz)
             )
             if found - handicap > gap:
                 gap = found
                 best[0], best[1], best[2] = sx, sy, sz
                 if gap > open_by:
-                    return best, gap
-    return best, gap
+                    return gap
+    return gap
 
 
 @njit(cache=True, nogil=True)
@@ -268,14 +270,17 @@ def touch(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j,
         )
         out[:count] = own[:count]
         return count, turned * normal, gap
-    normal, gap = parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, open_by)
+    normal = np.zeros(3)
+    scale = min(size[i, 0], size[i, 1], size[i, 2], size[j, 0], size[j, 1], size[j, 2])
+    gap = parting_direction(
+        kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, scale, open_by, normal
+    )
     if gap > open_by or gap == -math.inf:
         return 0, normal, gap
     u, v = across(normal)
     flat = np.empty((2, MOST_CORNERS, 2))
     counts = np.zeros(2, np.int64)
     height = 0.0
-    scale = min(size[i].min(), size[j].min())
     for side in range(2):
         k = j if side else i
         way = normal if side else -normal
@@ -308,13 +313,14 @@ def touch(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j,
 
 @njit(cache=True, nogil=True)
 def all_contacts(
-    kind, pose, size, vertices, vertex_start, normals, normal_start, held, joined, radius, near, wide, flush, patch
+    kind, pose, size, vertices, vertex_start, normals, normal_start, owner, held, joined, near, wide, flush, patch
 ):
-    """Return every contact point among bodies.
+    """Return every contact point among bodies of N convex pieces.
 
     kind (N,), pose (N, 4, 4), size (N, 3) ; vertices (V, 3), vertex_start (N + 1,) : of meshes, in the scene's frame,
-    normals (F, 3), normal_start (N + 1,) : of their faces ; held (N,) : bodies that do not move ; joined (N, N) bool :
-    pairs that the graph says are in contact ; radius (N,) : of a ball around each body's centre.
+    normals (F, 3), normal_start (N + 1,) : of their faces ; owner (N,) : the body that it is a piece of, those of one
+    do not bear each other ; held (N,) : what does not move ; joined (B, B) bool : bodies that the graph says are in
+    contact.
     near, wide : metres of gap up to which a pair touches, and one that the graph joins; flush : as in `touch`, for
     each of these two kinds; patch : see `feature`.
 
@@ -323,6 +329,12 @@ def all_contacts(
     first, second (P,) int64, point, normal (P, 3) : the normal points from the second body to the first ; gap (P,).
     """
     count = len(kind)
+    radius = np.empty(count)  # of a ball around each piece
+    for i in range(count):
+        radius[i] = 0.5 * math.sqrt(size[i, 0] ** 2 + size[i, 1] ** 2 + size[i, 2] ** 2)
+        for k in range(vertex_start[i], vertex_start[i + 1]):
+            x, y, z = vertices[k, 0] - pose[i, 0, 3], vertices[k, 1] - pose[i, 1, 3], vertices[k, 2] - pose[i, 2, 3]
+            radius[i] = max(radius[i], math.sqrt(x * x + y * y + z * z))
     limit = 4096
     first, second = np.empty(limit, np.int64), np.empty(limit, np.int64)
     point, normal, gap = np.empty((limit, 3)), np.empty((limit, 3)), np.empty(limit)
@@ -330,16 +342,17 @@ def all_contacts(
     out = np.empty((2 * MOST_CORNERS, 3))
     for i in range(count):
         for j in range(i):
-            if (held[i] and held[j]) or (kind[i] == PLANE and kind[j] == PLANE):
+            if owner[i] == owner[j] or (held[i] and held[j]) or (kind[i] == PLANE and kind[j] == PLANE):
                 continue
-            open_by = wide if joined[i, j] else near
+            graph = joined[owner[i], owner[j]]
+            open_by = wide if graph else near
             if kind[i] != PLANE and kind[j] != PLANE:
                 x, y, z = pose[i, 0, 3] - pose[j, 0, 3], pose[i, 1, 3] - pose[j, 1, 3], pose[i, 2, 3] - pose[j, 2, 3]
                 if x * x + y * y + z * z > (radius[i] + radius[j] + open_by) ** 2:
                     continue
             points, n, between = touch(
                 kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, open_by,
-                flush[1] if joined[i, j] else flush[0], patch, out,
+                flush[1] if graph else flush[0], patch, out,
             )  # fmt: skip
             if found + points > limit:
                 limit *= 2
@@ -349,7 +362,7 @@ def all_contacts(
                 normal = np.concatenate((normal, normal))
                 gap = np.concatenate((gap, gap))
             for c in range(points):
-                first[found], second[found], gap[found] = i, j, between
+                first[found], second[found], gap[found] = owner[i], owner[j], between
                 point[found] = out[c]
                 normal[found] = n
                 found += 1

@@ -69,13 +69,11 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     for index, body in enumerate(bodies):
         if body.kind == "plane" and not plane_is_below(matter, body):
             pose[index, :3, 1:3] *= -1.0
-    radius = 0.5 * np.linalg.norm(size, axis=1)
     vertices, normals = [np.empty((0, 3))], [np.empty((0, 3))]
     vertex_start, normal_start = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
     for index, body in enumerate(bodies):
         points = faces = 0
         if body.vertices is not None:
-            radius[index] = body.reach()
             rotation, place = pose[index, :3, :3], pose[index, :3, 3]
             vertices.append(body.vertices @ rotation.T + place)
             normals.append(_face_normals(body.vertices.tobytes()) @ rotation.T)
@@ -88,14 +86,10 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     length = matter.unit
     flush = np.array([NEAR * length, min(FLUSH * length, FLUSH_METRES)])
     nearest = NEAR * length if near is None else near
-    first, second, *where = all_contacts(
-        kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, held,
-        joined[np.ix_(owner, owner)], radius, nearest, widest_gap(length), flush,
-        ROLLING * length,
-    )  # fmt: skip
-    first, second = owner[first], owner[second]
-    apart = first != second  # the parts of one body do not bear each other
-    return Contacts(first[apart], second[apart], *(each[apart] for each in where))
+    return Contacts(*all_contacts(
+        kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, owner, held,
+        joined, nearest, widest_gap(length), flush, ROLLING * length,
+    ))  # fmt: skip
 
 
 class Equilibrium:
