@@ -24,13 +24,14 @@ from pathlib import Path
 
 from derender.cli import status_of
 from derender.document import read_prior_document  # noqa: E402
-from derender.evaluation.made_scenes import drawn_scene  # noqa: E402
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np  # noqa: E402
 
 from derender.report.scene_json import scene_json  # noqa: E402
+from worlds.made_scenes import drawn_scene  # noqa: E402
 
 DRAWS = 200  # scenes drawn from each posterior
 INSIDE = 0.9  # of the intervals

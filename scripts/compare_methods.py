@@ -17,13 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
 
 from evaluate import ENOUGH_PIXELS, truth_scene  # noqa: E402
 
-from derender.cli import status_of
-from derender.document import read_prior_document
-from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
+from derender.cli import status_of  # noqa: E402
+from derender.document import read_prior_document  # noqa: E402
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.posterior.forward import draw_documents, observe  # noqa: E402
 from derender.render.renderers import find_renderer  # noqa: E402
@@ -34,6 +33,7 @@ from derender.sampling.chains import SCENES, stream  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.jumps.run import DEFAULT_PRIOR  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
+from worlds.made_scenes import SETS, make_scene  # noqa: E402
 
 METHODS = ("auto", "mcmc")
 NEAR = 0.04  # metres between centres of what is one object

@@ -30,18 +30,18 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
 
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
 from sequences import KINDS  # noqa: E402
 
-from derender.cli import status_of
-from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
+from derender.cli import status_of  # noqa: E402
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
 from derender.sampling.chains import SCENES, stream  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
+from worlds.made_scenes import SETS, make_scene  # noqa: E402
 
 REAL_SETS = ("mosd", "graspnet", "ycbv")
 ENOUGH_PIXELS = 100

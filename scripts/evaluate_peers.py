@@ -20,12 +20,12 @@ from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from derender.evaluation.frontier_scenes import make
-from derender.evaluation.made_scenes import SETS, make_scene
 from derender.evaluation.metrics import assign, iou_matrix, solids_of
 from derender.report.scene_json import scene_json
 from derender.sampling.chains import SCENES, stream
 from derender.structures.infer import infer_structure
+from worlds.frontier_scenes import make
+from worlds.made_scenes import SETS, make_scene
 
 MADE = ("settled", "noisy", "tower", "clutter", "overhead", "stereo", "phone")
 NEAR = 0.004  # metres within which a point lies on a plane of RANSAC's: about three times the noise of these images

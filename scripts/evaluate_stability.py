@@ -12,7 +12,6 @@ that ends at that border holds it. A margin below .15 g only spares the towers t
 
 import numpy as np
 
-from derender.evaluation.made_scenes import photograph, stack
 from derender.physics.bodies import Body, Matter
 from derender.physics.constraint import assume_stable
 from derender.physics.outcome import probability
@@ -20,6 +19,7 @@ from derender.physics.simulate import judge, simulate
 from derender.physics.statics import Equilibrium
 from derender.scene.solids import PLANE
 from derender.structures.infer import infer_structure
+from worlds.made_scenes import photograph, stack
 
 NEAR_EDGE = 0.15  # g; 80 % of an open posterior's margins spread over .02 to .09 g
 OPEN = 0.05, 0.95  # P(stable) of a verdict that an image leaves open

@@ -16,18 +16,22 @@ import argparse
 import sys
 import time
 from itertools import permutations
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from derender.cli import status_of
 from derender.evaluation.convex import intersection_over_union
-from derender.evaluation.frontier_scenes import BEHIND, KINDS, SCALE, make
 from derender.evaluation.metrics import compare_scenes
 from derender.report.scene_json import scene_json
 from derender.structures.infer import infer_structure
 from derender.structures.known.library import Known
 from derender.structures.options import Options
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from worlds.frontier_scenes import BEHIND, KINDS, SCALE, make  # noqa: E402
 
 FEWEST = 100  # pixels of an object that is to be found; of small things SMALLEST
 SMALLEST = 15

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
 
 from derender.atomic import make_folder  # noqa: E402
 from derender.camera.sensor import SENSORS, find_sensor  # noqa: E402
 from derender.cli import status_of  # noqa: E402
-from derender.evaluation.made_scenes import camera_of, look_at  # noqa: E402
+from worlds.made_scenes import camera_of, look_at  # noqa: E402
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
 FRAMES, WIDTH, HEIGHT = 24, 160, 120

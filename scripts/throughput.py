@@ -21,7 +21,10 @@ import numpy as np
 
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
-from derender.evaluation.made_scenes import SETS, make_scene
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from worlds.made_scenes import SETS, make_scene  # noqa: E402
 
 FEW = 4  # frames, as many for each process whether there are one, two or four
 

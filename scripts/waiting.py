@@ -20,10 +20,10 @@ import numpy as np
 
 from derender.cli import status_of
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
 
-from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
 from derender.sampling.chains import SCENES, stream  # noqa: E402
+from worlds.made_scenes import SETS, make_scene  # noqa: E402
 
 WARM_SETS = ("settled", "noisy", "mixed", "tower", "cubes")
 

@@ -7,9 +7,9 @@ from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, shows_foot
 from derender.detection.floor import local_noise
 from derender.detection.search.observation import observe
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
 from derender.scene.solids import BOX, PLANE, Solids
+from worlds.frontier_scenes import KINDS, make
 
 
 def told_apart(solids, table=TABLE):

@@ -12,10 +12,10 @@ from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import assign_supports, concerned
-from derender.evaluation.made_scenes import photograph
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.graph_posterior import parts_of
 from derender.structures.infer import infer_structure
+from worlds.made_scenes import photograph
 
 SHAPES = Settings().shapes
 

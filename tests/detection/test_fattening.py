@@ -6,10 +6,10 @@ import pytest
 from scipy.ndimage import minimum_filter
 
 from derender.detection.fattening import fattened, flat_pixels, thinned
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.scene.pose import translation
 from derender.structures.infer import case_of
 from derender.structures.options import Frame, Options
+from worlds.frontier_scenes import KINDS, make
 
 
 def scene(kind, number=3):

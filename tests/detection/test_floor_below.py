@@ -7,7 +7,7 @@ from derender.detection.estimate import point_estimate
 from derender.detection.levels import floor_below
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe
-from derender.evaluation.frontier_scenes import KINDS, make
+from worlds.frontier_scenes import KINDS, make
 
 
 def filled(number):

@@ -14,11 +14,11 @@ from derender.detection.floors import find_backdrop, find_floor, floors_of
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Rival, observe
 from derender.detection.solids.beliefs import bare_image
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
 from derender.scene.priors.bare_image import Floors, Missed
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.infer import missed_by
+from worlds.frontier_scenes import KINDS, make
 
 WIDE = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)
 TILT = np.radians(35.0)

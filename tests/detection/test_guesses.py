@@ -11,8 +11,8 @@ from derender.detection.solids.interpenetration import lowest, reach
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import State, held_out
-from derender.evaluation.made_scenes import photograph
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+from worlds.made_scenes import photograph
 
 SHAPES = Settings().shapes
 LYING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # its own axis along the floor's x

@@ -13,7 +13,6 @@ from derender.detection.solids.graph import matched_names
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.evaluation.made_scenes import drawn_scene
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
@@ -22,6 +21,7 @@ from derender.structures.changes import changes, still_bears
 from derender.structures.draws.chart import HELD, make_chart
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
+from worlds.made_scenes import drawn_scene
 
 RULES = Rules(0.0015)
 

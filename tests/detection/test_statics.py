@@ -6,8 +6,8 @@ import pytest
 from derender.detection.solids.image import KINDS, make_row
 from derender.detection.solids.state import FLOOR
 from derender.detection.solids.support import least_forces, push_on, shares_of_load, surface_distance
-from derender.evaluation.made_scenes import random_size, settle
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+from worlds.made_scenes import random_size, settle
 
 
 def upright(centre, size, kind=BOX):

@@ -21,11 +21,11 @@ from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, 
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.evaluation.convex import intersection_volume
-from derender.evaluation.made_scenes import drawn_scene, kinect_noise, make_scene, photograph
 from derender.scene.pose import random_rotation, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.infer import infer_structure, settings_of
 from derender.structures.options import Options
+from worlds.made_scenes import drawn_scene, kinect_noise, make_scene, photograph
 
 FRAMES = Path(__file__).resolve().parents[2] / "data" / "frames"
 

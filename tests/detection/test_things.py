@@ -21,7 +21,6 @@ from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import Cost, clear_of_edges, low_parts, made_thing, silhouette, without_background
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.bare_image import Things
@@ -29,6 +28,7 @@ from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
+from worlds.frontier_scenes import KINDS, make
 
 
 def surface_through(points):

@@ -9,8 +9,8 @@ import pytest
 
 from derender.detection.solids.image import make_row
 from derender.detection.solids.interpenetration import penetration
-from derender.evaluation.frontier_scenes import BEHIND, KINDS, make, phone, stereo
 from derender.scene.solids import BOX
+from worlds.frontier_scenes import BEHIND, KINDS, make, phone, stereo
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("clutter", "heap")])

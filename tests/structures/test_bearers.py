@@ -10,7 +10,6 @@ from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.scene.distributions import distributions
 from derender.scene.priors.bare_image import Loose
 from derender.scene.solids import BOX
@@ -19,6 +18,7 @@ from derender.structures.changes import reached_down, tipping_of
 from derender.structures.draws.chart import make_chart
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
+from worlds.frontier_scenes import KINDS, make
 
 LONG, THICK, BLOCK = 0.17, 0.01, np.array([0.08, 0.12, 0.07])  # metres
 

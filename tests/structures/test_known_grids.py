@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from derender.detection.solids.image import make_row, rotation_of
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
 from derender.structures.known.grids import cells_of, fitted, layouts_of, numbers_of, space_of
 from derender.structures.known.library import Known
 from derender.structures.options import Options
+from worlds.frontier_scenes import KINDS, make
 
 CARTON = Known("carton", "box", {"length": 0.3, "width": 0.25, "height": 0.2}, {})
 SIZE = np.array([0.3, 0.25, 0.2])

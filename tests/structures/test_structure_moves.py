@@ -12,10 +12,10 @@ from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.evaluation.made_scenes import SETS, make_scene, photograph
 from derender.scene.graph import ROOT
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
+from worlds.made_scenes import SETS, make_scene, photograph
 
 
 def scene_of(name, seed):

@@ -9,7 +9,6 @@ import pytest
 from derender.camera.intrinsics import Camera
 from derender.document import read_document, write_document
 from derender.errors import DerenderError
-from derender.evaluation.frontier_scenes import KINDS, make
 from derender.evaluation.metrics import match_planes
 from derender.physics.bodies import matter_of_graph
 from derender.physics.simulate import judge, simulate
@@ -22,6 +21,7 @@ from derender.structures.graph_posterior import MOST_PARTS
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 from derender.structures.supports import multiplied, new_names, renamed, with_supports
+from worlds.frontier_scenes import KINDS, make
 
 CAMERA = Camera(fx=140.0, fy=140.0, cx=79.5, cy=59.5, width=160, height=120)
 PATCH = [0.1, 0.0, 0.2, 0.1, 0.5]

@@ -10,10 +10,10 @@ import numpy as np
 import trimesh
 
 from derender.camera.intrinsics import Camera
-from derender.evaluation.made_scenes import settle, settled_bridge
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
+from worlds.made_scenes import settle, settled_bridge
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from derender.physics.bodies import DENSITY
-from derender.physics.settling import come_to_rest
+from worlds.settling import come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
 GRAVITY = 9.81

@@ -1,4 +1,4 @@
-"""Solids that come to rest under MuJoCo, and who carries whom: what the made scenes of evaluation stand on."""
+"""Solids that come to rest under MuJoCo, and who carries whom: what made scenes stand on."""
 
 import numpy as np
 
