@@ -94,10 +94,12 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
 
 
 def camera_beside(path: str | Path) -> Path | None:
-    """Return the camera.json beside an image, or in a folder of images; None where there is none."""
+    """Return NAME_camera.json or camera.json beside an image NAME.png, or the latter in a folder; None without any."""
     place = Path(path)
-    beside = (place if place.is_dir() else place.parent) / "camera.json"
-    return beside if str(path) != "-" and beside.is_file() else None
+    beside = [place / "camera.json"] if place.is_dir() else [
+        place.with_name(name) for name in (f"{place.stem}_camera.json", "camera.json")
+    ]  # fmt: skip
+    return None if str(path) == "-" else next((file for file in beside if file.is_file()), None)
 
 
 def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: str | None = None) -> Camera:

@@ -81,8 +81,8 @@ def read_depth(
     path : the file; `-` is stdin; `recording.bag@12` is a frame of a ROS bag. Or an array (H, W), or a list of rows:
         floats are metres, integers of 16 bits or more are units of depth_scale millimetres.
     camera : a Camera, a camera file, a mapping as a camera file holds it (fx, fy, cx, cy are enough), or a 3 x 3 matrix
-        of intrinsics; default: the camera in the file, else camera.json beside it, else a guess of 60 degrees field of
-        view.
+        of intrinsics; default: the camera in the file, else NAME_camera.json or camera.json beside it, else a
+        guess of 60 degrees field of view.
     depth_scale : millimetres for one unit; overrides the camera's, and applies to float images too.
     topic : of a bag's depth images, where it has several.
 

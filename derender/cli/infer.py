@@ -188,9 +188,9 @@ def command(talk: Talk, **arguments: Any) -> int | None:
     IMAGE holds depth along the optical axis, not range: 16 bits a pixel (.png, .tiff) in millimetres unless
     --depth-scale or the camera says otherwise; metres in .npy, float .tiff and .exr; or an .npz that derender wrote.
     0, NaN, inf and 65535 mean no return. The camera is that of the depth image, in its pixels and without lens
-    distortion; a file {"fx": 615, "fy": 615, "cx": 320, "cy": 240} is enough, and camera.json beside the image is taken
-    by itself. Without one, 60 degrees of field of view are assumed. Which way is up is found from the floor, so leave
-    the table around the things in the image.
+    distortion; a file {"fx": 615, "fy": 615, "cx": 320, "cy": 240} is enough, and camera.json, or NAME_camera.json,
+    beside NAME.png is taken by itself. Without one, 60 degrees of field of view are assumed. Which way is up is found
+    from the floor, so leave the table around the things in the image.
 
     Writes DIR/scene.yaml (the most probable scene), DIR/posterior.npz (and posterior.nc where h5netcdf is installed),
     DIR/report.html, DIR/summary.json, DIR/observation.npz, DIR/labels.png (16 bits, k where the pixel shows the k-th

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from derender.camera.camera_file import camera_from_tree, read_camera
+from derender.camera.camera_file import camera_beside, camera_from_tree, read_camera
 from derender.camera.depth_file import Reading, read_depth, write_depth
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
@@ -244,6 +244,8 @@ def test_a_camera_beside_the_image_is_its_own_unless_one_is_given(tmp_path):
     beside = read_depth(image)
     assert not beside.camera_is_guess and (beside.camera.fx, beside.camera.shape) == (70.0, (48, 64))
     assert read_depth(image, {"fx": 90, "fy": 90, "cx": 31, "cy": 23}).camera.fx == 90.0
+    (tmp_path / "frame_camera.json").write_text('{"fx": 75, "fy": 75, "cx": 31, "cy": 23}')
+    assert read_depth(image).camera.fx == 75.0 and camera_beside(tmp_path).name == "camera.json"
     write_depth(tmp_path / "own.npz", beside.depth, Camera(80, 80, 31, 23, 64, 48))
     assert read_depth(tmp_path / "own.npz").camera.fx == 80.0  # that of the file itself comes first
 
