@@ -1,8 +1,8 @@
-"""The one exception for faults that a user can cause and mend."""
+"""Faults that a user can cause and mend: the one exception for them, and options that say nothing beside others."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 LONGEST = 400  # characters of each part of an error's line: names and paths of a thousand say no more
 
@@ -38,8 +38,17 @@ class DerenderError(Exception):
 def _shown(part: object) -> str:
     """Return a part of an error as one piece of a line: cut where it is long, nothing in it that steers a terminal."""
     text = " ".join(str(part).split())
-    text = text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return printable(text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}")
+
+
+def printable(text: str, kept: str = "") -> str:
+    """Return a text in which nothing steers a terminal, as names of files may; kept : characters that stay."""
+    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
+
+
+def is_unicode(name: str) -> bool:
+    """Return whether a name can be written: those of files may be bytes that are no UTF-8."""
+    return name.encode(errors="ignore").decode() == name
 
 
 @contextmanager
@@ -51,3 +60,19 @@ def at_fault(where: object) -> Iterator[None]:
         if error.where is not None:
             raise
         raise DerenderError(error.what, where, error.remedy) from error
+
+
+class Idle(NamedTuple):
+    """Options that say nothing beside others: whoever gave one is told so, in place of being ignored in silence."""
+
+    names: tuple[str, ...]  # of the parameters
+    here: Callable[[Mapping[str, Any]], Any]  # given all arguments by name, whether it is so
+    why: str  # what they are for
+
+
+def idle_lines(rules: Sequence[Idle], given: Mapping[str, str], arguments: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each option given that says nothing. given : how it is spelt, by parameter."""
+    for name, option in given.items():
+        why = next((rule.why for rule in rules if name in rule.names and rule.here(arguments)), None)
+        if why is not None:
+            yield f"{option} says nothing here: {why}"

@@ -14,7 +14,7 @@ from derender.camera.depth_file import DepthImage, Reading
 from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
 from derender.compilation.threads import import_in_background
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
-from derender.errors import DerenderError, at_fault
+from derender.errors import DerenderError, Idle, at_fault, idle_lines
 from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.results.posterior import Posterior
@@ -29,13 +29,19 @@ MASKS = "scipy.ndimage"  # takes a tenth of a second to import: beside the loadi
 WRITERS = ("derender.report.html", "derender.results.netcdf", "h5py")  # modules that only the files need
 # Of a scene whose objects are given nothing remains to be said of what there is.
 FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")
-SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
 
-# Why an option says nothing.
 NO_DRAWS = "--method map and --quick find the best scene, and draw nothing"
-POPULATIONS = "populations of --method smc have a fixed size"
 WALKS = "it is for --method mcmc, or for a scene given with --scene"
-THE_PRIOR = "it is the prior that says what --method mcmc may visit"
+IDLE = (  # beside the method, and whether the objects are given
+    Idle(("gradient",), lambda of: not (of["method"] == "map" and of["given"]), "it is for --method map with --scene"),
+    Idle(("chains",), lambda of: of["method"] == "map" and not of["given"], NO_DRAWS),
+    Idle(("draws", "warmup"), lambda of: of["method"] == "map", NO_DRAWS),
+    Idle(("draws", "warmup"), lambda of: of["given"] and of["method"] == "smc", "populations have a fixed size"),
+    Idle(("warmup", "resume"), lambda of: not of["given"] and of["method"] != "mcmc", WALKS),
+    Idle(("budget",), lambda of: not of["given"] and of["method"] != "auto", "it is for --method auto"),
+    Idle(("shapes", "may_overlap", "may_float"), lambda of: not of["given"] and of["method"] == "mcmc",
+         "it is the prior that says what --method mcmc may visit"),
+)  # fmt: skip
 
 AS_IT_IS = Reading()
 
@@ -189,35 +195,27 @@ def look_at(seen: DepthImage, document: Document | None, where: object, warn: Sa
     return seen
 
 
+def spelt(name: str) -> str:
+    """Return how an option of this name is written on the command line."""
+    switches = {"may_overlap": "allow-interpenetration", "may_float": "allow-floating"}
+    return "--" + switches.get(name, name).replace("_", "-")
+
+
 def check_request(options: Options, document: Document | None, prior: object, gradient: str, warn: Say) -> None:
     """Refuse, or warn of, options that say nothing about what is asked."""
     from derender.detection.solids.image import KINDS
 
     given, method = names_objects(document), options.method
-    walks = method == "mcmc" or given
-    idle = (
-        ("--gradient", gradient != "exact" and not (method == "map" and given), "it is for --method map with --scene"),
-        ("--chains", options.chains is not None and method == "map" and not given, NO_DRAWS),
-        ("--draws", options.draws is not None and method == "map", NO_DRAWS),
-        ("--warmup", options.warmup is not None and method == "map", NO_DRAWS),
-        ("--budget", options.budget is not None and not given and method != "auto", "it is for --method auto"),
-        ("--draws", options.draws is not None and given and method == "smc", POPULATIONS),
-        ("--warmup", options.warmup is not None and given and method == "smc", POPULATIONS),
-        ("--warmup", options.warmup is not None and method == "auto" and not walks, WALKS),
-        ("--resume", options.resume and not walks, WALKS),
-        ("--shapes", bool(options.shapes) and walks and not given, THE_PRIOR),
-        ("--allow-interpenetration", options.may_overlap and walks and not given, THE_PRIOR),
-        ("--allow-floating", options.may_float and walks and not given, THE_PRIOR),
-    )
-    for option, dropped, why in idle:
-        if dropped:
-            warn(f"{option} says nothing here: {why}")
+    asked, usual = ({**vars(each), "gradient": text} for each, text in ((options, gradient), (Options(), "exact")))
+    told = {name: spelt(name) for rule in IDLE for name in rule.names if asked[name] != usual[name]}
+    for line in idle_lines(IDLE, told, {"method": method, "given": given}):
+        warn(line)
     if given:
         if options.frames:
             raise DerenderError("--together is for images without a scene", prior, "leave out --together or --scene")
         for key in FOR_BARE_IMAGES:
             if getattr(options, key):
-                option = SWITCHES.get(key, "--" + key.replace("_", "-"))
+                option = spelt(key)
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
         return
     if method == "smc":

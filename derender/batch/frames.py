@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from derender.camera.ros_bag import FRAME, bag_frames, is_bag
-from derender.errors import DerenderError
+from derender.errors import DerenderError, is_unicode
 
 SUFFIXES = (".png", ".npy", ".npz", ".tif", ".tiff", ".exr")
 RESULT, LEDGER = "summary.json", "results.jsonl"  # a folder that holds one of them is a result, no folder of frames
@@ -76,7 +76,10 @@ def find_frames(
         if shallow:
             warn(f"{argument}: {told} left out: depth in a PNG has 16")
         for path, name in paths.items():
-            found.setdefault(path, name)
+            if is_unicode(path):
+                found.setdefault(path, name)
+            else:
+                warn(f"{path} is left out: its name is not UTF-8, so that no table could hold it")
     return _named(found)
 
 

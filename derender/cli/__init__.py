@@ -4,6 +4,7 @@ import atexit
 import contextlib
 import gc
 import importlib
+import io
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ from typing import Any
 import click
 
 from derender import __version__
-from derender.errors import DerenderError
+from derender.errors import DerenderError, is_unicode
 
 # Objects made between two looks for garbage: Python's 700 cost a tenth of the start, and one look at 50,000 a hundredth
 # of a second.
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.set_threshold(GARBAGE)
     # Our matrices are small and our threads our own: BLAS's would spin against them, and change sums by their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _open_closed_streams()
+    _mend_streams()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
@@ -104,10 +105,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(status)
 
 
-def _open_closed_streams() -> None:
+def _mend_streams() -> None:
     """Open what whoever started us has closed (`<&-`, `>&-`, `2>&-`): as good as empty, or nowhere.
 
-    Otherwise the first files that we open would take its place, and be written what was meant for a terminal.
+    Otherwise the first files that we open would take its place, and be written what was meant for a terminal. What
+    stdout's encoding lacks, such as the lines of a tree in that of Western Windows, is a question mark there.
     """
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
@@ -116,6 +118,8 @@ def _open_closed_streams() -> None:
                 os.dup2(nowhere, number)
                 os.close(nowhere)
             setattr(sys, name, open(number, mode, closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _end_as_ctrl_c() -> None:
@@ -150,6 +154,9 @@ def _end_at_once() -> None:
 
 def _run(arguments: Sequence[str] | None) -> int | None:
     _end_as_ctrl_c()
+    for word in sys.argv if arguments is None else arguments:
+        if not is_unicode(word):
+            raise DerenderError("this name is not UTF-8", word, "rename it: results tell it in text")
     try:
         return group.main(args=arguments, prog_name="derender", standalone_mode=False)
     except SystemExit:  # so click says that whoever read our output has gone

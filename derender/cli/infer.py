@@ -1,6 +1,6 @@
 """derender infer: a depth image in, a posterior over scene graphs out; of many images a table of all; or a film."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -8,8 +8,8 @@ import click
 from click.core import ParameterSource
 
 from derender.cli import options
-from derender.cli.options import Idle, Talk, command_line
-from derender.errors import DerenderError
+from derender.cli.options import Talk, command_line
+from derender.errors import DerenderError, Idle, printable
 
 if TYPE_CHECKING:
     from derender.batch.work import Done
@@ -52,6 +52,12 @@ def _is_recording(image: str) -> bool:
     return is_bag(image)
 
 
+def _several(images: Iterable[str]) -> bool:
+    from derender.batch.frames import is_many
+
+    return is_many(list(images))
+
+
 # Options that say how many frames are worked on, not what is asked of each: results do not record them.
 OF_THE_RUN = frozenset(
     {"images", "output", "jobs", "watch", "scheduler", "page", "strict", "quiet", "verbose", "resume"}
@@ -63,8 +69,11 @@ IDLE = (
     Idle(OF_IMAGES, lambda given: given["track"], "--track follows what the first frame of a film shows"),
     Idle(("least_confidence",), lambda given: not given["confidence"], "it is for --confidence"),
     Idle(("topic",), lambda given: not any(map(_is_recording, given["images"])), "it is for a recording (.bag, .mcap)"),
+    Idle(("together", "poses"), lambda given: not _several(dict.fromkeys(given["images"])), "there is one image"),
+    Idle(("resume",), lambda given: not given["together"] and _several(given["images"]),
+         "the same command run again does what is missing"),
     Idle(("jobs",), lambda given: given["scheduler"], "the cluster of --scheduler has its own workers"),
-)
+)  # fmt: skip
 
 
 @click.command()
@@ -234,8 +243,6 @@ def command(talk: Talk, **arguments: Any) -> int | None:
         derender infer front.png side.png --together --poses poses.json --camera camera.json -o both
         derender infer film/ --track --fps 30 -o out && cat out/events.jsonl
     """
-    from derender.batch.frames import is_many
-
     images, watch, scheduler = (arguments.pop(key) for key in ("images", "watch", "scheduler"))
     if arguments["output"] in ("-", ""):
         raise click.UsageError("-o is a folder: of many files none can go to stdout")
@@ -264,10 +271,8 @@ def command(talk: Talk, **arguments: Any) -> int | None:
         first, *others = (
             frame.path for frame in find_frames(images, arguments["output"] or "inferred", warn=talk.warn)
         )
-        if not others:
-            talk.warn("--together says nothing here: there is one image")
         return _one(talk, first, arguments, others, poses)
-    if watch or scheduler or is_many(images):
+    if watch or scheduler or _several(images):
         return _many(talk, images, watch, scheduler, arguments)
     return _one(talk, images[0], arguments)
 
@@ -310,8 +315,6 @@ def _many(
 
     output, strict, jobs, page = (arguments.pop(key) for key in ("output", "strict", "jobs", "page"))
     prior, gradient, reading = arguments.pop("prior"), arguments.pop("gradient"), _reading(arguments)
-    if arguments.pop("resume"):
-        talk.say("--resume says nothing here: the same command run again does what is missing")
     output = output or "inferred"
     order = Order(Options(**arguments, jobs=1), prior, reading, gradient, bool(page), _words())
     idle: set[str] = set()
@@ -326,7 +329,7 @@ def _many(
                 idle.add(line)
                 talk.warn(line)
         if done.error:
-            click.echo(f"derender: {done.frame.name}: {done.error}", err=True)
+            talk.say(f"derender: {done.frame.name}: {done.error}", always=True)
             talk.detail(done.trace)
         click.echo(_line_of(done))
 
@@ -360,10 +363,9 @@ def _reading(arguments: dict[str, Any]) -> "Reading":
 
 def _line_of(done: "Done") -> str:
     """Return what stdout says of a frame: its name, how it went, its objects."""
-    if done.error:
-        return f"{done.frame.name}\tfailed"
     objects = [row["object"] for row in done.rows if row["object"]]
-    return "\t".join([done.frame.name, "trusted" if done.rows[0]["trusted"] else "not to be trusted", *objects])
+    trusted = "trusted" if done.rows[0]["trusted"] else "not to be trusted"
+    return "\t".join([printable(done.frame.name), "failed" if done.error else trusted, *objects])
 
 
 def _words() -> list[str]:

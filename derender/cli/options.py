@@ -18,11 +18,13 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import click
 from click.core import ParameterSource
+
+from derender.errors import Idle, idle_lines, printable
 
 PATIENCE = 2.0  # seconds that a person waits without asking what is going on
 
@@ -61,7 +63,7 @@ class Talk:
     def say(self, message: str, always: bool = False) -> None:
         """Say what a person who did not ask for silence should know; always: also one who did."""
         if always or self.level >= 0:
-            click.echo(message, err=True)
+            self._echo(message)
 
     @contextlib.contextmanager
     def bar(self, shown: bool = True) -> Iterator[Bar | None]:
@@ -85,11 +87,14 @@ class Talk:
     def detail(self, message: str) -> None:
         """Say what a person who asked with -v wants to know."""
         if self.level >= 1:
-            click.echo(message, err=True)
+            self._echo(message)
 
     def warn(self, message: str) -> None:
         """Say what must be seen even under -q."""
-        click.echo(f"warning: {message}", err=True)
+        self._echo(f"warning: {message}")
+
+    def _echo(self, message: str) -> None:
+        click.echo(printable(message, "\n"), err=True)
 
 
 def quiet(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -108,29 +113,19 @@ def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")(quiet(function))
 
 
-class Idle(NamedTuple):
-    """Options that say nothing beside others: whoever typed one is told so, in place of being ignored in silence."""
-
-    names: tuple[str, ...]  # of the parameters
-    here: Callable[[Mapping[str, Any]], Any]  # given all arguments by name, whether it is so
-    why: str  # what they are for
-
-
 def tells_idle(*rules: Idle) -> Callable[..., Any]:
     """Have a command, which takes `talk`, warn of options that were typed and say nothing."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
         def wrapper(talk: Talk, **arguments: Any) -> Any:
-            context = click.get_current_context()
+            context, typed = click.get_current_context(), {}
             for parameter in context.command.params:
-                typed = context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE
-                off = arguments.get(str(parameter.name)) is False and parameter.secondary_opts
-                option = max(off or parameter.opts, key=len)
-                for rule in rules:
-                    if typed and parameter.name in rule.names and rule.here(arguments):
-                        talk.warn(f"{option} says nothing here: {rule.why}")
-                        break
+                if context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE:
+                    off = arguments.get(str(parameter.name)) is False and parameter.secondary_opts
+                    typed[str(parameter.name)] = max(off or parameter.opts, key=len)
+            for line in idle_lines(rules, typed, arguments):
+                talk.warn(line)
             return function(talk=talk, **arguments)
 
         return wrapper

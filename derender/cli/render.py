@@ -8,9 +8,9 @@ import click
 import numpy as np
 
 from derender.cli import options
-from derender.cli.options import Idle, Talk
+from derender.cli.options import Talk
 from derender.cli.reading import read_scene_document
-from derender.errors import DerenderError
+from derender.errors import DerenderError, Idle
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera

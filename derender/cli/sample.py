@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from derender.cli import options
-from derender.cli.options import Idle, Talk
+from derender.cli.options import Talk
+from derender.errors import Idle
 
 
 @click.command()

@@ -1,7 +1,7 @@
 """derender simulate: let physics act on a scene, or on the draws of a posterior or a prior."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +9,9 @@ import click
 
 from derender import __version__
 from derender.cli import options
-from derender.cli.options import Idle, Talk
-from derender.errors import DerenderError
+from derender.cli.options import Talk
+from derender.cli.reading import scene_paths
+from derender.errors import DerenderError, Idle
 
 if TYPE_CHECKING:
     from derender.cli.reading import Source
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
 TABLES = (".csv", ".jsonl")
+TABLE = "many scenes make a table"
 MOST_DRAWS = 100_000
 
 
@@ -74,6 +76,8 @@ class Percent(click.ParamType):
 @options.tells_idle(
     Idle(("duration", "push", "shake"), lambda given: given["engine"] == "statics", "statics judges a scene at rest"),
     Idle(("draws",), lambda given: given["until"], "--until says how many draws there are"),
+    Idle(("forces",), lambda given: _makes_table(**given), TABLE),
+    Idle(("as_json",), lambda given: given["output"] and _makes_table(**given), TABLE),
 )
 def command(
     scenes: tuple[str, ...],
@@ -116,18 +120,14 @@ def command(
         derender sample stack -n 20 -o many && derender simulate many -o table.csv
         derender sample stack -o - | derender simulate -
     """
-    from derender.cli.reading import scene_paths
     from derender.physics.intervention import intervention
 
     what = intervention(**texts)
     paths = scene_paths(scenes)
-    many = len(paths) > 1 or (output is not None and Path(output).suffix.lower() in TABLES)
+    many = _makes_table(scenes, output)
     _check_names(animate, settle, output, many)
     ask = {"duration": duration, "draws": draws, "until": until, "engine": engine, "jobs": jobs, "seed": seed}
     if many:
-        for option, dropped in (("--forces", forces), ("--json", as_json and output is not None)):
-            if dropped:
-                talk.warn(f"{option} says nothing here: many scenes make a table")
         return _table(paths, what, ask, margin, output, as_json, talk)
     found, best, source = _one(paths[0], what, ask, margin or as_json, forces, talk)
     if forces and not best.forces:
@@ -157,6 +157,10 @@ def command(
         for line in _lines(found):
             click.echo(line)
     return None
+
+
+def _makes_table(scenes: Sequence[str], output: str | None, **others: Any) -> bool:
+    return len(scene_paths(scenes)) > 1 or (output is not None and Path(output).suffix.lower() in TABLES)
 
 
 def _keep(folder: Path, text: str, talk: Talk) -> None:
@@ -282,10 +286,10 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
     if settle is not None and Path(settle).suffix.lower() not in (".yaml", ".yml"):
         raise DerenderError("a scene is written as .yaml", settle, "give a name that ends in .yaml")
     if many and (animate or settle):
-        raise DerenderError("many scenes make a table", animate or settle, "give one scene to draw or settle it")
+        raise DerenderError(TABLE, animate or settle, "give one scene to draw or settle it")
     wanted = TABLES if many else (".npz",)
     if output is not None and Path(output).suffix.lower() not in wanted:
-        what = "many scenes make a table" if many else "trajectories are written as .npz"
+        what = TABLE if many else "trajectories are written as .npz"
         raise DerenderError(what, output, f"give a name that ends in {' or '.join(wanted)}")
 
 

@@ -68,6 +68,14 @@ def test_links_that_lead_up_and_what_is_no_file_give_no_frame(tmp_path):
         assert [frame.name for frame in find_frames([str(argument)], tmp_path / "out")] == ["a"]
 
 
+def test_a_name_that_no_table_could_hold_is_left_out(tmp_path):
+    (tmp_path / "a.npy").write_bytes(b"x")
+    (tmp_path / os.fsdecode(b"b\xff.npy")).write_bytes(b"x")
+    told = []
+    assert [frame.name for frame in find_frames([str(tmp_path)], tmp_path / "out", warn=told.append)] == ["a"]
+    assert len(told) == 1 and "is not UTF-8" in told[0]
+
+
 def test_no_two_frames_share_a_name(tmp_path):
     found = find_frames(["../one/a.npy", "two/a.npy", "two/a.png", "b.npy"], tmp_path)
     assert [frame.name for frame in found] == ["one/a", "two/a.npy", "two/a.png", "b"]

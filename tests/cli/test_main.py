@@ -135,6 +135,28 @@ def test_talk_keeps_to_its_level(capsys):
         assert captured.err == expected and not captured.out
 
 
+def test_a_name_that_steers_a_terminal_does_not_reach_it(capsys):
+    Talk().say("wrote red\x1b[31m\u202e/\nand more")
+    assert capsys.readouterr().err == "wrote red\\x1b[31m\\u202e/\nand more\n"
+
+
+def test_what_an_encoding_lacks_is_a_question_mark():
+    process = subprocess.run(
+        [sys.executable, "-m", "derender", "show", "tabletop"],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert process.returncode == 0 and b"?? floor" in process.stdout
+
+
+def test_a_name_that_is_no_text_is_told(capsys):
+    assert run("infer", os.fsdecode(b"a\xff.npz")) == 1
+    assert (
+        capsys.readouterr().err
+        == "derender: a\\udcff.npz: this name is not UTF-8; rename it: results tell it in text\n"
+    )
+
+
 def test_doctor_says_what_works(capsys):
     assert run("doctor", "--json") == 0
     report = json.loads(capsys.readouterr().out)
