@@ -292,6 +292,7 @@ def _given(
     import_in_background(*WRITERS)
     said: dict[str, Any] = {"chains": options.chains, "draws": options.draws, "warmup": options.warmup}
     settings = read_settings(document.inference)._replace(**{k: v for k, v in said.items() if v is not None})
+    settings = settings._replace(goes_on=options.draws is None and "draws" not in (document.inference or ()))
     posterior, interrupted, lost = infer_scene(
         document, seen.depth, seen.camera, settings, options, gradient, command, progress, warn
     )

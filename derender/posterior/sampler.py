@@ -30,6 +30,7 @@ class Settings(NamedTuple):
     chains: int = 4  # counts
     draws: int = 1000  # counts
     warmup: int = 200  # counts
+    goes_on: bool = False  # whether chains that disagree after so many draws make more
     where: str | None = None  # file and line, for messages
 
 

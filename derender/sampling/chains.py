@@ -20,7 +20,7 @@ import traceback
 import zipfile
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -162,6 +162,7 @@ class Plan(NamedTuple):
     folder: Path | None = None  # of the checkpoints, or None to keep none
     run: str = ""  # fingerprint that checkpoints must carry
     resume: bool = False  # whether to go on from the checkpoints in `folder`
+    records: Mapping[int, Record] = {}  # by number, of chains that go on from there
     checkpoint_seconds: float = 2.0  # time between two checkpoints of a chain
 
     def checkpoint_path(self, number: int) -> Path | None:
@@ -216,7 +217,9 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
         for torn in path.parent.glob(f".{path.stem}-*"):
             torn.unlink(missing_ok=True)
     rng = stream(plan.seed, number)
-    record = former = load_record(path, plan.run) if plan.resume and path is not None else None
+    record = former = plan.records.get(number)
+    if former is None and plan.resume and path is not None:
+        record = former = load_record(path, plan.run)
     saved_at = time.monotonic()
     total = plan.warmup + plan.draws
     for record in chain(plan.sampler, rng, plan.warmup, plan.draws, former):

@@ -28,6 +28,8 @@ from derender.posterior.smc import tempered
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.trust import doubtful, enough_draws
+from derender.sampling import diagnostics
 from derender.sampling.chains import (
     POPULATIONS,
     STRUCTURES,
@@ -56,6 +58,7 @@ MOST_STRUCTURES = 64
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
 SMC_PARTICLES, SMC_STEPS = 400, 100
+MOST_TIMES = 4  # the draws that are usual, of chains that go on because they disagree
 CLIMB_DRAWS = 200  # and as many rounds of warm-up, of chains of which the best draw alone is asked
 
 Progress = Callable[[float, str], None]
@@ -237,7 +240,7 @@ def infer_scene(
             warn(f"chains run uncompiled, a hundred times slower: there is no compiled form of {target.uncompiled}")
         run = fingerprint(
             image.tobytes(), repr(camera), document.file, repr(target.space.unknowns), repr(target.template.numbers()),
-            repr(settings._replace(draws=0, where=None)), method, str(seed), str(number),
+            repr(settings._replace(draws=0, goes_on=False, where=None)), method, str(seed), str(number),
         )  # fmt: skip
         outcome = _walk(target, mixed, settings, options, number, run, tell)
         lost.update(outcome.lost)
@@ -273,13 +276,27 @@ def _walk(
         tell(0.0, "searching")
         sampler = sampler.prepared(own, chains, jobs)
     plan = Plan(sampler, own, chains, warmup, draws, place, run, options.resume)
-    total, done = chains * (warmup + draws), dict.fromkeys(range(chains), 0)
+    done = dict.fromkeys(range(chains), 0)
 
-    def report(chain: int, steps: int, _: int) -> None:
+    def report(chain: int, steps: int, most: int) -> None:
         done[chain] = steps
-        tell(sum(done.values()) / total, "sampling")
+        tell(sum(done.values()) / (chains * most), "sampling")
 
-    return run_chains(plan, jobs, total * settings.thin > SHORT, report)
+    while True:
+        outcome = run_chains(plan, jobs, chains * (warmup + plan.draws) * settings.thin > SHORT, report)
+        if options.method == "map" or not settings.goes_on or outcome.interrupted or outcome.lost:
+            return outcome
+        if not plan.draws < _enough(target, outcome, plan.draws) <= MOST_TIMES * draws:
+            return outcome
+        plan = plan._replace(draws=2 * plan.draws, records=outcome.records)
+
+
+def _enough(target: SceneTarget, outcome: Outcome, draws: int) -> int:
+    """Return how many draws of each chain are enough to be trusted, going by the first so many: 0 where these are."""
+    columns = np.stack([record.values[:draws] for record in outcome.records.values()], axis=1).T  # (P, chains, draws)
+    rows = [{**diagnostics.summary(column, period), "draws": column}
+            for column, period in zip(columns, target.space.periods, strict=True)]  # fmt: skip
+    return enough_draws(rows) if any(map(doubtful, rows)) else 0
 
 
 def part_of(target: SceneTarget, records: list[Record], mixed: list[Part], weight: float) -> StructurePosterior | None:

@@ -110,6 +110,19 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     np.testing.assert_array_equal(again.posterior.parts[0].values, whole.posterior.parts[0].values)
 
 
+def test_chains_that_disagree_go_on_as_if_never_stopped(monkeypatch):
+    monkeypatch.setattr(given, "MOST_TIMES", 1000)
+    world, _, image = image_of(TOWER)
+    few = Settings(draws=10, warmup=20, chains=2)
+    shapes = []
+    for settings in (few, few._replace(goes_on=True)):
+        part = infer_scene(world.document, image, world.document.camera, settings).posterior.parts[0]
+        shapes.append(part.values.shape[1])
+    assert shapes[0] == 10 and shapes[1] in (20, 40, 80, 160, 320, 640)
+    straight = infer_scene(world.document, image, world.document.camera, few._replace(draws=shapes[1]))
+    np.testing.assert_array_equal(straight.posterior.parts[0].values, part.values)
+
+
 def test_map_is_one_scene_no_worse_than_the_truth():
     world, truth, image = image_of(TOWER)
     result = infer_scene(world.document, image, world.document.camera, FEW, Options("map"))
