@@ -44,7 +44,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     """
     import numpy as np
 
-    from derender.camera.poses import write_poses
+    from derender.camera.camera_file import write_poses
     from derender.cli.reading import read_scene
     from derender.errors import DerenderError
     from derender.physics.next_view import next_views

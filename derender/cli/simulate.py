@@ -142,7 +142,7 @@ def command(
         talk.say(f"wrote {output}")
     if settle is not None:
         from derender.document import write_document
-        from derender.physics.settle import settled_graph
+        from derender.physics.verdict import settled_graph
 
         write_document(settle, settled_graph(source.graph, best.trajectory, best.matter), source.camera, None, made)
         talk.say(f"wrote {settle}")
@@ -179,8 +179,7 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
     import numpy as np
 
     from derender.cli.reading import read_source
-    from derender.physics.outcome import outcomes, simulate_scene
-    from derender.physics.summary import assumptions, summary_of
+    from derender.physics.outcome import assumptions, outcomes, simulate_scene, summary_of
 
     source = read_source(path, ask["seed"])
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
@@ -210,7 +209,7 @@ def _table(
 ) -> int:
     """Simulate many scenes, print or write their table, and return 1 where one could not be."""
     from derender.atomic import write_text
-    from derender.physics.summary import COLUMNS, failed_row, row_of
+    from derender.physics.outcome import COLUMNS, failed_row, row_of
     from derender.report.tables import text_table
     from derender.results.table import as_csv, as_lines
 

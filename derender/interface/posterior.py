@@ -227,8 +227,7 @@ class Posterior(kept.Posterior):
         """
         import tempfile
 
-        from derender.results.netcdf import write_netcdf
-        from derender.results.predictive import blocks_of
+        from derender.results.predictive import blocks_of, write_netcdf
 
         try:
             import arviz

@@ -17,8 +17,7 @@ import mujoco
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.physics.bodies import Body, Matter, leans
-from derender.physics.materials import bounce_damping, clamped_masses, pair_frictions
+from derender.physics.bodies import Body, Matter, bounce_damping, clamped_masses, leans, pair_frictions
 from derender.physics.statics import ROLLING, plane_is_below, widest_gap
 from derender.scene.friction import OF_BODIES
 from derender.scene.pose import quaternion, rotation_x

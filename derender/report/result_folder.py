@@ -81,8 +81,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     from derender.camera.image_files import encode_npy, png_bytes
     from derender.report.contents import sensor_words
     from derender.report.html import write_report
-    from derender.results.netcdf import can_be_read, write_netcdf
-    from derender.results.predictive import blocks_of
+    from derender.results.predictive import blocks_of, can_be_read, write_netcdf
 
     posterior, report = judged(posterior, seen, likelihood, lost, page)
     graph, best = posterior.best_graph(), posterior.best_part

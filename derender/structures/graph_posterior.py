@@ -27,7 +27,7 @@ from derender.structures.alternatives import (
     of_one_solid,
     weighed_whole,
 )
-from derender.structures.bearers import by_bearer
+from derender.structures.bridges import by_bearer
 from derender.structures.changes import tipping_of
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (

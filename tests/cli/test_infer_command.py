@@ -182,7 +182,7 @@ def test_an_older_result_is_replaced_as_a_whole_or_not_at_all(folder, tmp_path, 
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == first
     monkeypatch.undo()
     (out / "posterior.nc").write_text("of an older run")
-    monkeypatch.setattr("derender.results.netcdf.write_netcdf", lambda *_: False)  # as where h5netcdf is missing
+    monkeypatch.setattr("derender.results.predictive.write_netcdf", lambda *_: False)  # as where h5netcdf is missing
     infer(*arguments, "--seed", 2)
     assert not (out / "posterior.nc").exists() and (out / "notes.txt").read_text() == "mine"
     seeds = [json.loads((out / "summary.json").read_text())["seed"], read_made(out / "scene.yaml")["seed"]]

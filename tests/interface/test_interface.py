@@ -250,8 +250,7 @@ def test_arviz_has_what_it_asks_for(posterior):
 def test_the_netcdf_library_gives_each_group_its_own_dimensions(posterior, image, tmp_path):
     """ArviZ 1 opens the whole file with it: a dimension's number that two groups share is then the first one's."""
     netcdf = pytest.importorskip("netCDF4")
-    from derender.results.netcdf import write_netcdf
-    from derender.results.predictive import blocks_of
+    from derender.results.predictive import blocks_of, write_netcdf
 
     blocks = blocks_of(posterior, image.depth, image.camera, np.random.default_rng(0))
     assert write_netcdf(tmp_path / "posterior.nc", posterior, blocks)

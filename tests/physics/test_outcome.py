@@ -8,10 +8,9 @@ from derender.document import document_text, read_document
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, matter_of_graph
 from derender.physics.intervention import Disturbance, Push, intervention, read_add, read_push, read_shake, read_tilt
-from derender.physics.outcome import chance_of, probability, simulate_scene
-from derender.physics.settle import settled_graph
+from derender.physics.outcome import assumptions, chance_of, probability, simulate_scene, summary_of
 from derender.physics.simulate import judge, simulate
-from derender.physics.summary import assumptions, summary_of
+from derender.physics.verdict import settled_graph
 from derender.scene.pose import translation
 
 TEXT = """

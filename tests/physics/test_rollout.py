@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from test_simulate import FLOOR, cube, matter
 
-from derender.physics.bodies import Body
+from derender.physics.bodies import Body, bounce_damping, pair_frictions, restitution_of
 from derender.physics.intervention import Push
-from derender.physics.materials import bounce_damping, pair_frictions, restitution_of
 from derender.physics.simulate import Rollout
 from derender.scene.pose import translation
 

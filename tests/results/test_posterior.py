@@ -9,8 +9,8 @@ import pytest
 from small_scenes import LOOKED_AT, TOWER, SceneWorld
 
 from derender.errors import DerenderError
-from derender.results.netcdf import write_netcdf
 from derender.results.posterior import Posterior, StructurePosterior, load
+from derender.results.predictive import write_netcdf
 from derender.results.trust import chain_doubts
 
 

@@ -13,7 +13,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.scene.distributions import distributions
 from derender.scene.priors.bare_image import Loose
 from derender.scene.solids import BOX
-from derender.structures.bearers import by_bearer
+from derender.structures.bridges import by_bearer
 from derender.structures.changes import reached_down, tipping_of
 from derender.structures.draws.chart import make_chart
 from derender.structures.infer import infer_structure

@@ -7,8 +7,7 @@ from derender.detection.solids.image import make_row, rotation_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
-from derender.structures.known.grids import cells_of, fitted, layouts_of, numbers_of, space_of
-from derender.structures.known.library import Known
+from derender.structures.known.library import Known, cells_of, fitted, layouts_of, numbers_of, space_of
 from derender.structures.options import Options
 from worlds.frontier_scenes import KINDS, make
 

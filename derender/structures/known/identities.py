@@ -21,9 +21,8 @@ from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run
 from derender.detection.solids.support import shadows_overlap, standing_on
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, MESH, SPHERE
-from derender.structures.known.grids import GAP, Space, fitted, layouts_of, space_of
 from derender.structures.known.image import draw_known, known_misfit, walk_known
-from derender.structures.known.library import Known
+from derender.structures.known.library import GAP, Known, Space, fitted, layouts_of, space_of
 
 LEAST_TILT = np.radians(0.5)
 SCALES = np.array([0.006, 0.006, 0.003, 0.006, 0.001, 0.001])

@@ -5,16 +5,23 @@
       brick: {type: box, length: 20 cm, width: 10 cm, height: 6 cm, count: 2}
 
 `count` says how many of it there may be (default: any number).  Files are looked for beside the library.
+
+Also grids of equal known boxes, as on a pallet: which numbers of them fill a space, and where the whole grid stands.
+Between cartons hardly a gap shows, so that a search for single solids sees one box, or slabs, or columns. A grid is
+placed as one body: where it stands, how it is turned and how wide its gaps are, is fitted to the image, and what no
+pixel shows of it follows from that.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.detection.solids.image import SIZE, make_row, rotation_of
 from derender.errors import DerenderError
 from derender.scene.codec.yaml_tree import read_yaml
 from derender.scene.pose import rotation_z
@@ -148,3 +155,141 @@ def chosen_library(given: Any) -> tuple[Known, ...]:
     if not all(isinstance(item, Known) for item in library):
         raise DerenderError("not a library of known objects", remedy="give its file")
     return library
+
+
+GAP = 0.006  # metres between neighbours, at most
+INEXACT = 0.01  # metres by which a large box's sides may be wrong
+LEVEL = 0.99  # cosine of the large box's tilt
+MOST = 64  # of cells
+STEPS = 0.016 * 0.5 ** np.arange(7)  # metres by which a grid's faces are moved when it is fitted, coarse to fine
+
+
+class Space(NamedTuple):
+    """An upright box that may be a grid: middle (2,) on the floor, metres; its lower end's height; radians about the
+    vertical; size (3,); metres by which that may be wrong (3,)."""
+
+    middle: np.ndarray
+    bottom: float
+    yaw: float
+    size: np.ndarray
+    inexact: np.ndarray
+
+
+class Layout(NamedTuple):
+    """How a known box fills a space: which of its own axes lies along each of the grid's; counts (3,) along these."""
+
+    known: Known
+    axes: tuple[int, ...]
+    counts: np.ndarray
+
+    @property
+    def piece(self) -> np.ndarray:
+        """(3,) metres of one box along the grid's axes."""
+        return self.known.size[list(self.axes)]
+
+
+def space_of(row: np.ndarray, base: float = np.nan) -> Space | None:
+    """Return the Space that a solid's row (ROW,) fills; None where it is no upright box.
+
+    base : height of what it stands on; NaN: of its own lower end.
+    """
+    rotation = rotation_of(row)
+    if int(row[0]) != BOX or abs(rotation[2, 2]) < LEVEL:
+        return None
+    bottom = float(row[12] - 0.5 * row[15]) if np.isnan(base) else base
+    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return Space(row[10:12], bottom, yaw, row[13:16], np.full(3, INEXACT))
+
+
+def layouts_of(space: Space, known: Known) -> list[Layout]:
+    """Return the Layouts of a known box that fill a space but for gaps, the narrowest gaps first."""
+    if known.body.shape.solid_kind != BOX:
+        return []
+    fitting: list[tuple[float, Layout]] = []
+    for axes in permutations(range(3)):
+        piece = known.size[list(axes)]
+        count = np.maximum(np.rint((space.size + space.inexact) / (piece + 0.5 * GAP)), 1.0)
+        spare = space.size - count * piece
+        within = np.all(spare > -space.inexact) and np.all(spare < (count - 1.0) * GAP + space.inexact)
+        if within and 1 < count.prod() <= MOST:
+            fitting.append((float(np.abs(spare).sum()), Layout(known, axes, count.astype(int))))
+    return [layout for _, layout in sorted(fitting, key=lambda each: each[0])]
+
+
+def numbers_of(space: Space, layout: Layout) -> np.ndarray:
+    """Return the (5,) numbers of a grid that fills a space: x, y, yaw, and the gaps along its two level axes."""
+    spare = space.size - layout.counts * layout.piece
+    gaps = np.clip(spare / np.maximum(layout.counts - 1, 1), 0.0, GAP)
+    return np.array([*space.middle, space.yaw, *gaps[:2]])
+
+
+def cells_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
+    """Return the rows (N, ROW) of a grid's boxes, lowest first. numbers : see `numbers_of`; bottom : metres."""
+    rotation = rotation_z(numbers[2])[:3, :3]
+    own = rotation[:, np.argsort(layout.axes)]  # columns: the known box's own axes
+    own[:, 2] *= np.sign(np.linalg.det(own))
+    pitch = layout.piece + [*numbers[3:5], 0.0]
+    middle = np.array([*numbers[:2], bottom + 0.5 * layout.counts[2] * layout.piece[2]])
+    places = sorted(np.ndindex(*layout.counts), key=lambda each: each[2])
+    offsets = (np.array(places) - 0.5 * (layout.counts - 1)) * pitch
+    return np.array([make_row(BOX, own, middle + rotation @ offset, layout.known.size) for offset in offsets])
+
+
+def hull_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
+    """Return the rows (1, ROW) of the one box that a grid fills, gaps and all, and what silhouettes add."""
+    size = layout.counts * layout.piece + np.append((layout.counts[:2] - 1) * numbers[3:5], 0.0) + numbers[5:]
+    return make_row(BOX, rotation_z(numbers[2])[:3, :3], np.array([*numbers[:2], bottom + 0.5 * size[2]]), size)[None]
+
+
+def with_gaps(layout: Layout, numbers: np.ndarray, gaps: tuple[float, ...], origin: np.ndarray) -> np.ndarray:
+    """Return the numbers of a grid with other gaps whose faces towards the camera stay where they are."""
+    axes = rotation_z(numbers[2])[:2, :2]
+    found = np.array([*numbers[:3], *gaps, 0.0, 0.0, 0.0])
+    grown = (hull_of(layout, found, 0.0) - hull_of(layout, numbers, 0.0))[0, SIZE : SIZE + 2]
+    found[:2] += axes @ (0.5 * np.sign(axes.T @ (numbers[:2] - origin[:2])) * grown)
+    return found
+
+
+def fitted(
+    space: Space, layout: Layout, misfit: Callable[[np.ndarray], float], blurred: np.ndarray, origin: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return (misfit, rows (N, ROW)) of a layout, moved and its gaps changed while that explains the image better.
+
+    As the one box that it fills, for gaps are narrower than the pixels of an image that is searched and show in few of
+    them, and then as its boxes, for some gaps do show: the better of the two counts.
+
+    misfit : of the image, of rows (N, ROW). blurred : (3,) metres by which silhouettes may be off, so that the one
+        box may look that much larger or smaller than the grid. origin : (3,) the camera's centre.
+    """
+    between = np.maximum(layout.counts[:2] - 1, 1)
+    scale = np.array([1.0, 1.0, 2.0 / float(space.size[:2].max()), *(1.0 / between), 1.0, 1.0, 1.0])
+    low = np.array([*np.full(3, -np.inf), 0.0, 0.0, *-blurred])
+    high = np.array([*np.full(3, np.inf), *(GAP * (layout.counts[:2] > 1)), *blurred])
+
+    def searched(rows, numbers):
+        """Return (misfit, numbers) of a pattern search: each number by its step while that helps, then by its half."""
+        least = misfit(rows(layout, numbers, space.bottom))
+        for step in STEPS:
+            better = True
+            while better:
+                better = False
+                for k, sign in product(range(len(numbers)), (1.0, -1.0)):
+                    trial = numbers.copy()
+                    if k < 2:  # along its own axes, on which its faces depend one by one
+                        trial[:2] += sign * step * rotation_z(numbers[2])[:2, k]
+                    else:
+                        trial[k] = np.clip(trial[k] + sign * step * scale[k], low[k], high[k])
+                    if (trial != numbers).any() and (found := misfit(rows(layout, trial, space.bottom))) < least:
+                        least, numbers, better = found, trial, True
+        return least, numbers
+
+    numbers = np.append(numbers_of(space, layout), np.zeros(3))
+    seems = space.size - hull_of(layout, numbers, space.bottom)[0, SIZE:]  # larger than its boxes, as it was found
+    numbers[5:] = np.clip(seems, -blurred, blurred)
+    whole, numbers = searched(hull_of, numbers)
+    high[5:] = low[5:] = 0.0
+    starts = [
+        with_gaps(layout, numbers, gaps, origin) for gaps in product(*(np.linspace(0.0, g, 4) for g in high[3:5]))
+    ]
+    parts, apart = searched(cells_of, min(starts, key=lambda each: misfit(cells_of(layout, each, space.bottom))))
+    return min(whole, parts), cells_of(layout, apart if parts < whole else numbers, space.bottom)
