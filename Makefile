@@ -39,8 +39,8 @@ test-bounds: .venv/made osmesa  ## The lowest and the highest numba and mujoco t
 	@JOBS=$(JOBS) sh scripts/test_bounds.sh "$(PYTHON)" "$(NEWEST)"
 
 lint: .venv/developed  ## Check style and types only
-	$(BIN)/ruff format --check derender tests scripts worlds
-	$(BIN)/ruff check derender tests scripts worlds
+	$(BIN)/ruff format --check derender tests scripts
+	$(BIN)/ruff check derender tests scripts
 	$(BIN)/mypy
 
 bench: .venv/complete osmesa  ## Measure speed beside pyrender, Embree and scipy

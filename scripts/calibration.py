@@ -26,7 +26,7 @@ from derender.cli import status_of
 from derender.document import read_prior_document  # noqa: E402
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
 
 import numpy as np  # noqa: E402
 

@@ -30,7 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
 from sequences import KINDS  # noqa: E402

@@ -29,7 +29,7 @@ from derender.structures.infer import infer_structure
 from derender.structures.known.library import Known
 from derender.structures.options import Options
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
 
 from worlds.frontier_scenes import BEHIND, KINDS, SCALE, make  # noqa: E402
 

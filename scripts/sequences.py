@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
 from derender.atomic import make_folder  # noqa: E402
 from derender.camera.sensor import SENSORS, find_sensor  # noqa: E402

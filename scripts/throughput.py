@@ -22,7 +22,7 @@ import numpy as np
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
 
 from worlds.made_scenes import SETS, make_scene  # noqa: E402
 

@@ -20,7 +20,8 @@ import numpy as np
 
 from derender.cli import status_of
 
-sys.path[:0] = map(str, Path(__file__).resolve().parents[:2])  # what lies beside, and worlds/
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
 from derender.sampling.chains import SCENES, stream  # noqa: E402
 from worlds.made_scenes import SETS, make_scene  # noqa: E402

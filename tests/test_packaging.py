@@ -54,7 +54,7 @@ def test_wheel_and_sdist_build_and_the_installed_wheel_works_elsewhere(tmp_path)
     (sdist,) = tmp_path.glob("*.tar.gz")
     names = zipfile.ZipFile(wheel).namelist()
     assert "derender/_data/priors/tabletop.yaml" in names and "derender/_data/frames/kinect_tabletop.png" in names
-    assert not [name for name in names if name.startswith(("tests/", "scripts/", "worlds/"))]
+    assert not [name for name in names if name.startswith(("tests/", "scripts/"))]
     assert sdist.stat().st_size < 5_000_000
     venv.create(tmp_path / "venv", with_pip=True)
     binaries = tmp_path / "venv" / "bin"
