@@ -93,9 +93,6 @@ class MixtureSampler:
         """Return what runs the mixture, for one thread and one stretch: it outlives none of the values returned."""
         return self._first.twin()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_first"}
-
     def prepared(self, seed: int, chains: int, jobs: int) -> "MixtureSampler":
         """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
         if self.population <= 1:

@@ -181,12 +181,6 @@ class ObservedImage:
             self._evaluators.own = self.evaluator()
         return self._evaluators.own.log_likelihood(graph.solids(), parameters)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_evaluators"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _evaluators=threading.local())
-
 
 class SceneTarget:
     """Posterior density over the unknowns of one structure.

@@ -1,25 +1,18 @@
-"""Chains: generators of draws, resumable, and several of them at once over threads or processes.
+"""Chains: generators of draws, resumable, and several of them at once, each in a thread.
 
 A chain depends on its seed and its number alone, never on which worker runs it or when it was stopped: the draws are
 the same bytes for any number of jobs, and a resumed chain equals an uninterrupted one. What a chain has drawn and all
 that its next step needs is on disk, written whole or not at all.
 
-Threads (where the sampler runs compiled and lets go of the interpreter) start at no cost but die together; spawned
-processes cost about a second each (imports, compiled code from its cache) and one that dies takes only the chain with
-it that it was on.
+What runs compiled lets go of the interpreter, so that threads walk side by side; steps in Python take turns.
 """
 
-import contextlib
 import hashlib
 import json
-import multiprocessing
-import multiprocessing.connection
-import signal
 import time
 import traceback
 import zipfile
 import zlib
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -28,7 +21,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from derender.atomic import atomic_path
-from derender.compilation.threads import interruptible, safe_path
+from derender.compilation.threads import interruptible
 from derender.errors import DerenderError
 from derender.json_text import parse_json
 
@@ -131,7 +124,7 @@ class Segment(NamedTuple):
 
 
 class Sampler(Protocol):
-    """How one chain walks. Picklable: spawned processes receive it.
+    """How one chain walks; each in a thread of its own.
 
     segment : number of draws (and of warm-up rounds) between two moments at which a chain can be stopped.
     state : arrays by name; all that the next step depends on besides `rng`.
@@ -246,7 +239,7 @@ class Outcome(NamedTuple):
     interrupted: bool  # whether someone asked to stop before the end
 
 
-def run_chains(plan: Plan, jobs: int = 1, processes: bool = True, progress: Progress = lambda *_: None) -> Outcome:
+def run_chains(plan: Plan, jobs: int = 1, progress: Progress = lambda *_: None) -> Outcome:
     """Run the plan's chains, at most `jobs` at a time.
 
     The first Ctrl-C lets every chain finish its segment and write its checkpoint; a second one raises.
@@ -254,20 +247,6 @@ def run_chains(plan: Plan, jobs: int = 1, processes: bool = True, progress: Prog
     Raises DerenderError : the fault of the user that stopped a chain (no checkpoint of this run, for instance).
     RuntimeError : every chain was lost.
     """
-    jobs = min(jobs, plan.chains)
-    with interruptible() as stop:
-        if jobs > 1 and processes:
-            records, lost = _run_processes(plan, jobs, stop, progress)
-        else:
-            records, lost = _run_threads(plan, jobs, stop, progress)
-    if lost and not records:
-        raise RuntimeError("every chain was lost:\n" + "\n".join(lost.values()))
-    return Outcome(dict(sorted(records.items())), lost, stop.is_set())
-
-
-def _run_threads(
-    plan: Plan, jobs: int, stop: Any, progress: Callable[..., Any]
-) -> tuple[dict[int, Record], dict[int, str]]:
     records: dict[int, Record] = {}
     lost: dict[int, str] = {}
 
@@ -282,73 +261,15 @@ def _run_threads(
         except Exception:  # a bug in one chain must not cost the draws of the others: it is reported with its traceback
             lost[number] = traceback.format_exc()
 
-    if jobs == 1:
-        for number in range(plan.chains):
-            one(number)
-        return records, lost
-    with ThreadPoolExecutor(jobs) as pool:
-        for future in [pool.submit(one, number) for number in range(plan.chains)]:
-            future.result()
-    return records, lost
-
-
-def _run_processes(
-    plan: Plan, jobs: int, stop: Any, progress: Callable[..., Any]
-) -> tuple[dict[int, Record], dict[int, str]]:
-    """Run each chain in a process of its own, at most `jobs` at a time."""
-    context, waiting = multiprocessing.get_context("spawn"), deque(range(plan.chains))
-    running: dict[Any, tuple[Any, int]] = {}  # by our end of a process's pipe: the process and its chain
-    records: dict[int, Record] = {}
-    lost: dict[int, str] = {}
-    told = False
-    try:
-        while running or (waiting and not stop.is_set()):
-            while waiting and len(running) < jobs and not stop.is_set():
-                ours, theirs = context.Pipe()
-                process = context.Process(target=_work, args=(theirs, plan, waiting[0]), daemon=True)
-                with safe_path():
-                    process.start()
-                theirs.close()
-                running[ours] = process, waiting.popleft()
-            if stop.is_set() and not told:
-                told = True
-                for connection in running:
-                    with contextlib.suppress(OSError):  # the process has died: reading from the connection will tell
-                        connection.send("stop")
-            ready: list[Any] = multiprocessing.connection.wait(list(running), timeout=0.1)
-            for connection in ready:
-                process, number = running[connection]
-                try:
-                    kind, content = connection.recv()
-                except (EOFError, OSError):
-                    process.join()
-                    kind, content = "lost", f"the process of chain {number} died with exit status {process.exitcode}"
-                if kind == "progress":
-                    progress(*content)
-                    continue
-                del running[connection]
-                process.join()
-                if kind == "fault":
-                    raise content
-                if kind == "done":
-                    records[number] = content
-                else:
-                    lost[number] = content
-    finally:
-        for process, _ in running.values():
-            process.terminate()
-    return records, lost
-
-
-def _work(connection: Any, plan: Plan, number: int) -> None:
-    """Run one chain for the parent, whose only word is to stop. Ctrl-C is the parent's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    progress: Callable = lambda *content: connection.send(("progress", content))  # noqa: E731
-    answer: tuple[str, Any]
-    try:
-        answer = ("done", run_chain(plan, number, connection.poll, progress))
-    except DerenderError as fault:
-        answer = ("fault", fault)
-    except Exception:  # reported by the parent with its traceback
-        answer = ("lost", traceback.format_exc())
-    connection.send(answer)
+    jobs = min(jobs, plan.chains)
+    with interruptible() as stop:
+        if jobs == 1:
+            for number in range(plan.chains):
+                one(number)
+        else:
+            with ThreadPoolExecutor(jobs) as pool:
+                for future in [pool.submit(one, number) for number in range(plan.chains)]:
+                    future.result()
+    if lost and not records:
+        raise RuntimeError("every chain was lost:\n" + "\n".join(lost.values()))
+    return Outcome(dict(sorted(records.items())), lost, stop.is_set())

@@ -56,7 +56,6 @@ PREFERRED = "-z"  # face to rest on of a representative
 PARTICLES, STEPS = 50, 60  # of the population by which a structure is weighed
 MOST_STRUCTURES = 64
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
-SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
 SMC_PARTICLES, SMC_STEPS = 400, 100
 MOST_TIMES = 4  # the draws that are usual, of chains that go on because they disagree
 CLIMB_DRAWS = 200  # and as many rounds of warm-up, of chains of which the best draw alone is asked
@@ -209,8 +208,8 @@ def infer_scene(
 
     image : (H, W) metres, NaN where nothing returned.
     settings : of the chains and particles, as the document's `inference:` may say.
-    options : of which method, seed, jobs, folder and resume are looked at. jobs are threads, or for long runs
-        processes; the draws do not depend on them.
+    options : of which method, seed, jobs, folder and resume are looked at. jobs are threads, on
+        which the draws do not depend.
     gradient : "exact" or "finite-difference", the derivative by which "map" climbs in the end.
     progress : called with the fraction that is done and a word on what is being done.
     warn : called with a line on what makes it slow.
@@ -283,7 +282,7 @@ def _walk(
         tell(sum(done.values()) / (chains * most), "sampling")
 
     while True:
-        outcome = run_chains(plan, jobs, chains * (warmup + plan.draws) * settings.thin > SHORT, report)
+        outcome = run_chains(plan, jobs, report)
         if options.method == "map" or not settings.goes_on or outcome.interrupted or outcome.lost:
             return outcome
         if not plan.draws < _enough(target, outcome, plan.draws) <= MOST_TIMES * draws:

@@ -40,9 +40,9 @@ def test_shape_of_a_chain(alone):
     assert not np.array_equal(alone[0].values, alone[1].values)
 
 
-@pytest.mark.parametrize("jobs, processes", [(1, True), (3, False), (3, True)])
-def test_same_draws_for_any_workers(alone, jobs, processes):
-    outcome = chains.run_chains(plan(), jobs, processes)
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_same_draws_for_any_workers(alone, jobs):
+    outcome = chains.run_chains(plan(), jobs)
     assert not outcome.lost and not outcome.interrupted
     for number, record in enumerate(alone):
         same(outcome.records[number], record)
@@ -85,17 +85,11 @@ def test_fingerprint_knows_where_parts_end():
     assert chains.fingerprint("ab", "c") != chains.fingerprint("a", "bc")
 
 
-@pytest.mark.parametrize("manner", ["raise", "kill"])
-def test_one_dying_chain_does_not_lose_the_others(alone, manner):
-    outcome = chains.run_chains(plan(sampler=Walk(doomed=(1,), manner=manner)), 2, processes=True)
-    assert list(outcome.records) == [0, 2, 3] and list(outcome.lost) == [1]
-    assert ("doomed" if manner == "raise" else "died with exit status -9") in outcome.lost[1]
-    same(outcome.records[3], alone[3])
-
-
-def test_in_threads_a_fault_loses_one_chain_only():
-    outcome = chains.run_chains(plan(sampler=Walk(doomed=(2,))), 2, processes=False)
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_fault_loses_one_chain_only(alone, jobs):
+    outcome = chains.run_chains(plan(sampler=Walk(doomed=(2,))), jobs)
     assert list(outcome.records) == [0, 1, 3] and "doomed" in outcome.lost[2]
+    same(outcome.records[3], alone[3])
 
 
 def test_all_chains_lost_is_an_error():
@@ -103,8 +97,8 @@ def test_all_chains_lost_is_an_error():
         chains.run_chains(plan(sampler=Walk(doomed=(0, 1, 2, 3))))
 
 
-@pytest.mark.parametrize("jobs, processes", [(1, False), (2, False), (2, True)])
-def test_control_c_keeps_what_there_is(tmp_path, jobs, processes):
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_control_c_keeps_what_there_is(tmp_path, jobs):
     settings = plan(sampler=Walk(seconds=0.02), draws=2000, folder=tmp_path, chains=2)
     first_draw = threading.Event()
 
@@ -115,7 +109,7 @@ def test_control_c_keeps_what_there_is(tmp_path, jobs, processes):
 
     thread = threading.Thread(target=interrupt)
     thread.start()
-    outcome = chains.run_chains(settings, jobs, processes, lambda number, done, total: done > 60 and first_draw.set())
+    outcome = chains.run_chains(settings, jobs, lambda number, done, total: done > 60 and first_draw.set())
     thread.join()
     assert outcome.interrupted and outcome.records
     for number, record in outcome.records.items():

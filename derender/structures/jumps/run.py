@@ -217,7 +217,7 @@ def infer_by_jumps(
         if progress:
             progress(sum(done.values()) / total, "jumping")
 
-    outcome = run_chains(plan, options.jobs or 1, True, report)
+    outcome = run_chains(plan, options.jobs or 1, report)
     found = [sampler.draws(record) for record in outcome.records.values() if record.drawn]
     if not found:
         raise KeyboardInterrupt
