@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.render.blur import blur
+from derender.render.blur import blur, blur_along, blur_taps
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -126,9 +126,9 @@ SLOPING = 0.004  # share of the depth by which a surface may go on beside all th
 # Standard deviations of a blur, rounded up to pixels, beyond which a pixel shows less than 2 % of a jump's other side;
 # and those of the noise by which three pixels in line are bent at a jump: five times sqrt(6), what noise alone makes.
 MIXED, JUMP = 1.5, 12.0
-# Rounds in which a mixture is undone, the widest blur, in pixels, for which they are enough (what they leave is less
-# than the noise then, under one of .6 it is seven times that), and times the noise of these pixels is what it was.
-UNMIXED, MOST_UNMIXED, LOUDER = 8, 0.55, 2.0
+# The widest blur that is undone, in pixels: it more than doubles noise, which a wider one multiplies; rounds in which
+# leaks are told by what is smoothed, and in which the blur is told by what leaks still (each leaves a sixth of it).
+MOST_UNMIXED, SMOOTHED, REFITTED = 0.55, 2, 2
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
@@ -311,25 +311,59 @@ def blurred_jumps(depth: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
 
 
 def unmixed(depth: np.ndarray, beside: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
-    """Return the depth (H, W) with pixels beside jumps as they were without the blur; NaN where that cannot be told.
+    """Return the depth (H, W) as it were without the blur, with the noise that it has; NaN beside jumps where that
+    cannot be told.
 
-    These pixels alone tell where a solid ends: without them its sides were open to two pixels of the whole image. What
-    the blur does once more to the image as it is found to be is taken away from it, again and again (van Cittert 1931);
-    what leaks across jumps then tells how much more, or less, the blur was.
+    These pixels alone tell where a solid ends: without them its sides were open to two pixels of the whole image. To
+    undo the blur multiplies noise, by which the intervals of turns would hold the truth too seldom. So what is undone
+    tells, once it is smoothed, no more than how much leaked into each pixel from others, which is taken away from it.
+    What leaks across jumps all the same tells how much more, or less, the blur was.
 
     beside, blurred : see `blurred_jumps`. sigma : metres of noise.
     """
     known = np.isfinite(depth) & (depth > 0)
-    there = beside & (blur((~known).astype(float), blurred) == 0.0)
-    if blurred > MOST_UNMIXED or not there.any():
+    there = blur((~known).astype(float), blurred) == 0.0
+    if blurred > MOST_UNMIXED or not (beside & there).any():
         return np.where(beside, np.nan, depth)
     seen = np.where(known, depth, np.median(depth[known]))
-    for _ in range(2):
-        sharp = seen.copy()
-        for _ in range(UNMIXED):
-            sharp += seen - blur(sharp, blurred)
-        sharp = np.where(there, sharp, np.where(beside, np.nan, depth))
-        left = leaks(1.0 / sharp, LOUDER * sigma / sharp**2)
+    for _ in range(REFITTED):
+        sharp = without_leaks(seen, blurred, sigma)
+        left = leaks(1.0 / np.where(there, sharp, np.nan), sigma / sharp**2)
         if len(left):
-            blurred = float(np.interp(np.interp(blurred, SIGMAS, LEAKS) + np.median(left), LEAKS, SIGMAS))
+            leaked = np.interp(blurred, SIGMAS, LEAKS) + np.median(left)
+            blurred = min(float(np.interp(leaked, LEAKS, SIGMAS)), MOST_UNMIXED)
+    sharp = without_leaks(seen, blurred, sigma)
+    return np.where(there, sharp, np.where(beside, np.nan, depth))
+
+
+def without_leaks(seen: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
+    """Return an image (H, W) less what a blur of so many pixels leaked into each from others; sigma : of its noise."""
+    along, down = (blur_along(np.eye(length), blur_taps(blurred), 0) for length in seen.shape[::-1])
+    sharp, quiet = np.linalg.solve(down, np.linalg.solve(along, seen.T).T), seen
+    for _ in range(SMOOTHED):
+        smooth = smoothed(sharp, quiet, sigma)
+        sharp = quiet = seen - (blur(smooth, blurred) - smooth)
     return sharp
+
+
+@njit(cache=True, nogil=True)
+def smoothed(depth, quiet, sigma):
+    """Return depths (H, W) as the mean inverse depth of each pixel and of its neighbours in pairs, one on either side.
+
+    A pair that a jump parts from the pixel does not count: with it inverse depth bends. quiet : (H, W) depths that tell
+    it, with noise of sigma metres.
+    """
+    height, width = depth.shape
+    inverse, told, out = 1.0 / depth, 1.0 / quiet, np.empty_like(depth)
+    for j in range(height):
+        for i in range(width):
+            total, count, limit = inverse[j, i], 1.0, JUMP * sigma * told[j, i] ** 2
+            for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                top, bottom, left, end = j - down, j + down, i - right, i + right
+                if top < 0 or bottom >= height or min(left, end) < 0 or max(left, end) >= width:
+                    continue
+                if abs(told[top, left] + told[bottom, end] - 2.0 * told[j, i]) < limit:
+                    total += inverse[top, left] + inverse[bottom, end]
+                    count += 2.0
+            out[j, i] = count / total
+    return out

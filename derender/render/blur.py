@@ -37,11 +37,12 @@ def blur(image: np.ndarray, sigma: float) -> np.ndarray:
     image = np.asarray(image, np.float64)
     taps = blur_taps(sigma)
     for axis in (0, 1):
-        image = _blur_along(image, taps, axis)
+        image = blur_along(image, taps, axis)
     return image
 
 
-def _blur_along(image: np.ndarray, taps: np.ndarray, axis: int) -> np.ndarray:
+def blur_along(image: np.ndarray, taps: np.ndarray, axis: int) -> np.ndarray:
+    """Blur an (H, W) image along one axis, with the weights of `blur_taps`."""
     radius, length = len(taps) - 1, image.shape[axis]
     padded = image.take(np.clip(np.arange(-radius, length + radius), 0, length - 1), axis=axis)
 

@@ -61,13 +61,17 @@ def test_a_sharp_image_and_a_sloping_floor_lose_nothing():
 
 
 def test_a_reduced_image_shows_no_mixture_of_two_depths():
-    """What half a pixel of blur mixed is undone, with twice the noise; of what a wider one mixed nothing is told."""
+    """What half a pixel of blur mixed is undone, beside small jumps too, with hardly more noise than all pixels have:
+    with twice as much the intervals of turns held the truth in 73 %. Of what a wider one mixed nothing is told.
+    """
     image, exact, _ = box_image(2, 0.5)
     seen = observe(image, WHOLE)
     there, beside = exact[::2, ::2], blurred_jumps(image, NOISE)[0][::2, ::2]
+    mixed = np.abs(blur(exact, 0.5) - exact)[::2, ::2] > NOISE
     assert seen.factor == 2
     assert np.abs(seen.single - there)[~beside].max() < 6.0 * NOISE  # of 19,200 normal numbers none is beyond 6
-    assert beside.sum() > 50 and np.sqrt(np.mean((seen.single - there)[beside] ** 2)) < 2.5 * NOISE
+    for some in (beside, mixed):
+        assert some.sum() > 50 and np.sqrt(np.mean((seen.single - there)[some] ** 2)) < 1.5 * NOISE
     left_out = np.isnan(observe(box_image(2, 0.8)[0], WHOLE).single)
     assert 0 < left_out.sum() < 0.03 * left_out.size
 
