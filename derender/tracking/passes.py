@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender.tracking.drawing import DEVIATION
-from derender.tracking.thing import LOST, STILL, Start
+from derender.tracking.thing import LOST, Start
 from derender.tracking.track import Recorder, Track
 
 if TYPE_CHECKING:
@@ -57,10 +57,8 @@ class Passes:
             return self.anchored(found)
         if self.moving_camera or found.explained() or found.cut is not None:
             return found
-        noise = found.start
         for anchor in (len(self.frames) - 1, len(self.frames) // 2):
-            start = self.begin(self.frames[anchor])
-            start = start._replace(sigma=noise.sigma, growth=noise.growth, blur=noise.blur, temper=noise.temper)
+            start = self.begun(anchor, found.start)
             if not start.things:
                 continue
             other = self.improved(self.go(anchor, start))
@@ -70,17 +68,24 @@ class Passes:
                 break
         return found
 
-    def anchored(self, found: "Pass") -> "Pass":
-        """Return the pass, or one backward from the last frame if more rests in it: only that tells a camera's path.
+    def begun(self, anchor: int, noise: Start) -> Start:
+        """Return what frame `anchor` shows, under the noise of another start."""
+        start = self.begin(self.frames[anchor])
+        return start._replace(sigma=noise.sigma, growth=noise.growth, blur=noise.blur, temper=noise.temper)
 
-        What slides as a film begins often rests as it ends, and once nothing rests no later frame anchors the camera.
+    def anchored(self, found: "Pass") -> "Pass":
+        """Return the pass, or one backward from the last frame if the film is likelier so.
+
+        What slides as a film begins often rests as it ends, and once nothing rests no later frame tells where the
+        camera is; each motion costs the nats of what it might have been as well.
         """
         reverse = copy(self)
         if self.gravity is not None:
             reverse.gravity = found.forward.seen[-1].view[:3, :3] @ self.gravity
-        other = reverse.improved(reverse.go(len(self.frames) - 1, self.begin(self.frames[-1])))
+        last = len(self.frames) - 1
+        other = reverse.improved(reverse.go(last, self.begun(last, found.start)))
         same = other.cut is None and len(other.start.things) == len(found.start.things)
-        return other if same and other.rests() > found.rests() and other.cost() < found.cost() + BETTER else found
+        return other if same and other.cost() < found.cost() else found
 
     def improved(self, found: "Pass") -> "Pass":
         """Return the pass, or one with the sizes that it ended with, where they differ from those of its beginning."""
@@ -139,11 +144,6 @@ class Pass:
     def cost(self) -> float:
         """Return the sum of the costs."""
         return float(self.costs()[0].sum())
-
-    def rests(self) -> int:
-        """Return in how many frames things rest, summed over them."""
-        seen = [*(self.backward.seen[1:] if self.backward else []), *self.forward.seen]
-        return sum(frame.states.count(STILL) for frame in seen)
 
     def explained(self) -> bool:
         """Whether nothing is lost and no frame costs much more than the cheapest one."""

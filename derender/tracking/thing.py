@@ -74,7 +74,8 @@ class Thing:
 
 
 class Seen(NamedTuple):
-    """What the filter says of one frame. cost, valid : nats of the whole frame, and its pixels with a return."""
+    """What the filter says of one frame. cost, valid : nats of the whole frame (and, where the camera moves, of all
+    that moves), and its pixels with a return."""
 
     poses: np.ndarray  # (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far
     covariances: np.ndarray  # (N, 6, 6) of centre and turn, camera axes

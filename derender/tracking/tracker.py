@@ -82,6 +82,7 @@ class Tracker(Drawing):
         self.gravity, self.step = np.asarray(gravity, float), float(step)
         self.drift = np.eye(4)  # the camera's last motion, and its covariance: (6, 6) of a shift and a turn, its axes
         self.woken: list[int] = []  # resting things that have begun to move, where the camera moves
+        self.nats: float | None = None  # against its place then, see Viewpoint
         self.drift_spread = np.diag(np.repeat(CAMERA_SPEED, 3) * step) ** 2
         self._refine_first()
         explained = np.abs(self.misfit.observed - self.misfit.blurred) < OFF * self.spread
@@ -316,7 +317,7 @@ class Tracker(Drawing):
             calm = [k for k in still if k not in best.woken]
             best = min([best, self._camera_by(calm)], key=lambda each: each.nats)
         self.drift, self.drift_spread = best.view @ inverse(self.view), best.spread
-        self.view, self.woken = best.view, best.woken
+        self.view, self.woken, self.nats = best.view, best.woken, best.nats
         self.place()
         cost(self.misfit, self.poses, self.sizes)
 
@@ -461,7 +462,7 @@ class Tracker(Drawing):
                 covariances[k, :3, :3] += self._bias(thing) ** 2 * np.eye(3)
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
-        total = float(cost(self.misfit, self.poses, self.sizes))
+        total = float(cost(self.misfit, self.poses, self.sizes)) if self.nats is None else self.nats * self.start.temper
         return Seen(
             poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs, total,
             int(np.count_nonzero(self.observed)),
