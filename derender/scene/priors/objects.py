@@ -52,7 +52,8 @@ def check_range(value: Value, parameter: Parameter, place: Node | None = None, s
         inside = parameter.lower < value < parameter.upper if strict else parameter.lower <= value <= parameter.upper
         if not inside:
             raise fault(place, f"{parameter.name} is {value:g}, out of range", allowed)
-        if parameter.unit == "m" and not (value == 0.0 or SMALLEST <= abs(value) <= LARGEST):
+        smallest = SMALLEST if parameter.lower >= 0.0 else 0.0  # of a size; an offset may come as near to 0 as it likes
+        if parameter.unit == "m" and not (value == 0.0 or smallest <= abs(value) <= LARGEST):
             remedy = f"lengths lie between {SMALLEST:g} and {LARGEST:g} m"
             raise fault(place, f"{parameter.name} is {value:g} m, beyond what can be computed with", remedy)
         return
