@@ -12,14 +12,13 @@ import time
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.solids.image import render_floor_scene
 from derender.physics.next_view import next_views
 from derender.report.scene_json import size_intervals
 from derender.sampling.chains import SCENES, stream
 from derender.scene.pose import inverse
 from derender.structures.infer import infer_structure
 from derender.structures.options import Frame, Options
-from worlds.made_scenes import SETS, make_scene
+from worlds.made_scenes import SETS, make_scene, render_floor_scene
 
 HIDDEN = 0.004  # metres of a 90 % interval
 NOISE = 0.001  # metres

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from derender.detection.solids.image import render_floor_scene
 from derender.evaluation.metrics import assign
 from derender.report.scene_json import scene_json
 from derender.structures.infer import infer_structure
+from worlds.made_scenes import render_floor_scene
 
 GRASPNET = {"sugar": (0.045, 0.092, 0.176), "cheezit": (0.051, 0.153, 0.194), "cylinder": (0.0664, 0.0664, 0.151)}
 WHOLE = 0.95  # share of an object's pixels that shows: then its measured length and width are no lower bounds

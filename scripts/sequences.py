@@ -304,7 +304,7 @@ def make_sequence(rng, kind, sensor="kinect", motion=0.0):
     sensor : a name of derender.camera.sensor, or "plain": 1 mm of white noise. motion : metres that the camera goes
     round the scene in a second.
     """
-    from derender.detection.solids.image import render_floor_scene
+    from worlds.made_scenes import render_floor_scene
 
     while True:
         fps = float(rng.choice([24.0, 30.0, 30.0, 60.0] if kind in ("collide", "bounce", "topple") else [24.0, 30.0]))

@@ -9,7 +9,6 @@ from derender.camera.intrinsics import Camera
 from derender.detection.floor import read_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search import observation
-from derender.detection.solids.image import render_floor_scene
 from derender.document import read_prior_document
 from derender.errors import DerenderError
 from derender.posterior.forward import draw_documents
@@ -17,7 +16,7 @@ from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
-from worlds.made_scenes import camera_of, kinect_noise
+from worlds.made_scenes import camera_of, kinect_noise, render_floor_scene
 
 SIZES = np.array([[0.1, 0.08, 0.06], [0.07, 0.07, 0.12]])
 POSES = np.stack([translation(-0.06, 0, 0.03) @ rotation_z(0.3), translation(0.09, 0.04, 0.06) @ rotation_z(0.9)])

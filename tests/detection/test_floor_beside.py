@@ -4,9 +4,8 @@ import numpy as np
 
 from derender.detection.floor import floor_beside
 from derender.detection.floors import find_floor
-from derender.detection.solids.image import render_floor_scene
 from derender.scene.pose import rotation_x, rotation_z, translation
-from worlds.made_scenes import camera_of
+from worlds.made_scenes import camera_of, render_floor_scene
 
 LOWER = 0.015  # metres by which what lies behind the table is lower
 BOX = np.array([0.1, 0.08, 0.12])

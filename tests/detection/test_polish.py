@@ -10,11 +10,12 @@ from derender.camera.intrinsics import Camera
 from derender.detection.search import searches
 from derender.detection.search.greedy import Settings, Task
 from derender.detection.search.observation import nearest_pixels, observe
-from derender.detection.solids.image import make_image, make_row, render_floor_scene
+from derender.detection.solids.image import make_image, make_row
 from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE, UPRIGHT, WALK_MOVES, walk
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, PLANE, Solids
+from worlds.made_scenes import render_floor_scene
 
 CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
 FLOOR_POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))

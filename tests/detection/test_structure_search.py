@@ -14,7 +14,7 @@ from derender.detection.search.greedy import Settings, Task, total_energy
 from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.proposals import Hypothesis
 from derender.detection.search.searches import Climb, crossed, explain_otherwise, explain_rest, parts
-from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene
+from derender.detection.solids.image import FAR, draw, make_image, make_row
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import added_misfit, misfit_map
 from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk
@@ -25,7 +25,7 @@ from derender.scene.pose import random_rotation, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.infer import infer_structure, settings_of
 from derender.structures.options import Options
-from worlds.made_scenes import drawn_scene, kinect_noise, make_scene, photograph
+from worlds.made_scenes import drawn_scene, kinect_noise, make_scene, photograph, render_floor_scene
 
 FRAMES = Path(__file__).resolve().parents[2] / "data" / "frames"
 

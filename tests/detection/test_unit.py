@@ -8,13 +8,12 @@ import pytest
 from derender.camera.intrinsics import Camera
 from derender.detection import unit as detection_unit
 from derender.detection.solids.beliefs import bare_image
-from derender.detection.solids.image import render_floor_scene
 from derender.detection.unit import likelihood_in_metres, part_in_metres
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_z, translation
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
-from worlds.made_scenes import SETS, make_scene, photograph
+from worlds.made_scenes import SETS, make_scene, photograph, render_floor_scene
 
 
 def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():

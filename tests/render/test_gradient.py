@@ -16,13 +16,14 @@ from gradient_check import (
     random_scene,
     share,
 )
+from scipy.ndimage import gaussian_filter
 from smooth_image import SmoothLikelihood, antialiased_depth, derivative_image
 
-from derender.render.blur import blur, blur_taps
+from derender.render.blur import blur, blur_into, blur_taps
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
 from derender.render.raycast.depth import render_depth
-from derender.render.raycast.normal_equations import MOTION, blur_rectangle
+from derender.render.raycast.normal_equations import MOTION
 from derender.scene.solids import BOX, CYLINDER, SPHERE, Solids
 
 
@@ -132,12 +133,14 @@ def test_without_occlusion_edges_it_is_wrong():
     assert np.median(own_errors(BOX, 6, edges=False)) > 0.3
 
 
-def test_blur_is_that_of_scipy():
-    """For images that reach the border."""
+def test_blur_of_a_part_is_that_of_the_whole_and_scipys():
+    """Of an image's corner, and of its middle."""
     image = np.random.default_rng(0).normal(size=(9, 12))
-    scratch, blurred = np.zeros((2, 9, 12))
-    blur_rectangle(image, blur_taps(1.3), np.array([0, 12, 0, 9]), scratch, blurred)
-    assert np.allclose(blurred, blur(image, 1.3), atol=1e-14)
+    assert np.allclose(blur(image, 1.3), gaussian_filter(image, 1.3, mode="nearest", radius=4), atol=1e-14)
+    for i0, i1, j0, j1 in ((0, 5, 0, 3), (4, 9, 2, 8)):
+        blurred = np.empty((j1 - j0, i1 - i0))
+        blur_into(blur_taps(1.3), image, i0, i1, j0, j1, blurred)
+        assert np.allclose(blurred, blur(image, 1.3)[j0:j1, i0:i1], atol=1e-14)
 
 
 def test_normal_equations_are_sums_over_pixels():

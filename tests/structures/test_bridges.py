@@ -9,7 +9,6 @@ from scipy.stats import norm
 from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Rules, bare_image
-from derender.detection.solids.image import render_floor_scene
 from derender.document import read_document, write_document
 from derender.evaluation.metrics import compare_scenes
 from derender.report.scene_json import scene_json
@@ -21,6 +20,7 @@ from derender.scene.priors.bare_image import Loose, balances
 from derender.structures.bridges import judge, support_residual, with_bridges
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
+from worlds.made_scenes import render_floor_scene
 
 SLACK = 0.0015
 RULES = Rules(SLACK)

@@ -9,7 +9,7 @@ from scipy.stats import lognorm
 from derender.camera.intrinsics import Camera
 from derender.detection.solids.beliefs import bare_image, box_log_density
 from derender.detection.solids.graph import pose_of, scene_graph
-from derender.detection.solids.image import make_row, render_floor_scene
+from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.results.posterior import StructurePosterior
@@ -29,6 +29,7 @@ from derender.structures.grids import (
     seam_gain,
     with_grids,
 )
+from worlds.made_scenes import render_floor_scene
 
 CAMERA = Camera(fx=290.0, fy=290.0, cx=159.5, cy=119.5, width=320, height=240)
 SIZE, SIGMA, GAP = np.array([0.36, 0.25, 0.22]), 0.004, 0.004

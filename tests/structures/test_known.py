@@ -13,7 +13,7 @@ from derender.camera.depth_file import read_depth
 from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import bare_image
-from derender.detection.solids.image import make_row, render_floor_scene
+from derender.detection.solids.image import make_row
 from derender.errors import DerenderError
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX
@@ -22,6 +22,7 @@ from derender.structures.known.identities import Placed, Placement, identity_pro
 from derender.structures.known.library import read_library
 from derender.structures.known.posterior import enough, likeliest, names_of
 from derender.structures.options import Options
+from worlds.made_scenes import render_floor_scene
 
 LIBRARY = """
 known:

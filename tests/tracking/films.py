@@ -3,10 +3,10 @@
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.solids.image import render_floor_scene
 from derender.scene.pose import from_rotation_vector, inverse
 from derender.scene.solids import BOX, SPHERE
 from derender.tracking.thing import TIES, Start, Thing
+from worlds.made_scenes import render_floor_scene
 
 CAMERA = Camera.from_field_of_view(96, 72)
 NOISE = 0.0015

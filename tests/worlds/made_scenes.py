@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from derender.detection.solids.image import FAR, KINDS, ROW, draw, make_image, make_row
 from derender.physics.bodies import DENSITY
+from derender.scene.solids import BOX
 from worlds.settling import come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
@@ -162,6 +164,25 @@ def stack(rng: np.random.Generator, count: int) -> tuple[list[str], np.ndarray, 
     return kinds, np.array(sizes), np.array(poses), parents
 
 
+def render_floor_scene(
+    kinds: list[str], poses: np.ndarray, sizes: Any, floor_pose: np.ndarray, camera: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return depth (H, W), NaN where nothing is hit, and label (H, W) of solids over a floor.
+
+    poses : (N, 4, 4) object to camera; floor_pose : (4, 4) floor to camera; camera : dict of intrinsics.
+    """
+    blank = np.zeros((camera["height"], camera["width"]))
+    image = make_image(blank, 1.0, camera, floor_pose)
+    local = np.linalg.inv(floor_pose) @ poses
+    rows = np.array(
+        [make_row(KINDS[k], p[:3, :3], p[:3, 3], s) for k, p, s in zip(kinds, local, sizes, strict=True)]
+    ).reshape(-1, ROW)
+    depth, label = blank.copy(), np.zeros(blank.shape, np.int32)
+    draw(image, rows, -1, depth, label)
+    depth[depth >= FAR] = np.nan
+    return depth, label
+
+
 def kinect_noise(rng: np.random.Generator, depth: np.ndarray, label: np.ndarray) -> np.ndarray:
     """Return the depth as a Kinect-like sensor gives it: noise 1.2 mm + 1.9 mm/m^2 (z - 0.4)^2, disparity in steps of
     1/8 pixel at the sensor's own focal length, 60 % of the edge pixels and 1 % of all lost."""
@@ -195,8 +216,6 @@ def photograph(
     distance: tuple[float, float] = (0.65, 0.9),
 ) -> Any:
     """Return the scene dict that a camera 20 to 50 degrees up sees."""
-    from derender.detection.solids.image import render_floor_scene
-
     middle = poses[:, :3, 3].mean(axis=0) * [1, 1, 0.8]
     world = look_at(rng, rng.uniform(*distance), np.radians(rng.uniform(20, 50)), middle)
     camera = camera_of(width, height)
@@ -251,9 +270,7 @@ def make_scene(rng: np.random.Generator, name: str) -> Any:
 
 def make_groups(rng: np.random.Generator, count: Any = 20) -> Any:
     """Return 20 boxes scattered in three groups, none of which reaches into another, at 320 x 240."""
-    from derender.detection.solids.image import make_row
     from derender.detection.solids.interpenetration import penetration
-    from derender.scene.solids import BOX
 
     kinds, sizes, poses, parents = [], [], [], []
     centres = np.array([[np.cos(a), np.sin(a)] for a in rng.uniform(0, 6.28) + np.arange(3) * 2 * np.pi / 3]) * 0.3

@@ -268,22 +268,3 @@ def rotation_of(row: np.ndarray) -> np.ndarray:
 
 
 KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
-
-
-def render_floor_scene(
-    kinds: list[str], poses: np.ndarray, sizes: Any, floor_pose: np.ndarray, camera: Any
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return depth (H, W), NaN where nothing is hit, and label (H, W) of solids over a floor.
-
-    poses : (N, 4, 4) object to camera; floor_pose : (4, 4) floor to camera; camera : dict of intrinsics.
-    """
-    blank = np.zeros((camera["height"], camera["width"]))
-    image = make_image(blank, 1.0, camera, floor_pose)
-    local = np.linalg.inv(floor_pose) @ poses
-    rows = np.array(
-        [make_row(KINDS[k], p[:3, :3], p[:3, 3], s) for k, p, s in zip(kinds, local, sizes, strict=True)]
-    ).reshape(-1, ROW)
-    depth, label = blank.copy(), np.zeros(blank.shape, np.int32)
-    draw(image, rows, -1, depth, label)
-    depth[depth >= FAR] = np.nan
-    return depth, label

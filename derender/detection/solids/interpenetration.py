@@ -88,20 +88,15 @@ def least_overlap(p, q, enough):
             best = min(best, overlap_along(p, q, x, y, z))
             if best <= enough:
                 return best
-    if int(p[0]) != BOX:
-        x, y, z = clamp_direction(q, p[10], p[11], p[12])
-        best = min(best, overlap_along(p, q, x, y, z))
-        along = dx * p[3] + dy * p[6] + dz * p[9]
-        best = min(best, overlap_along(p, q, dx - along * p[3], dy - along * p[6], dz - along * p[9]))
-        along = x * p[3] + y * p[6] + z * p[9]
-        best = min(best, overlap_along(p, q, x - along * p[3], y - along * p[6], z - along * p[9]))
-    if int(q[0]) != BOX:
-        x, y, z = clamp_direction(p, q[10], q[11], q[12])
-        best = min(best, overlap_along(p, q, x, y, z))
-        along = dx * q[3] + dy * q[6] + dz * q[9]
-        best = min(best, overlap_along(p, q, dx - along * q[3], dy - along * q[6], dz - along * q[9]))
-        along = x * q[3] + y * q[6] + z * q[9]
-        best = min(best, overlap_along(p, q, x - along * q[3], y - along * q[6], z - along * q[9]))
+    for side in range(2):
+        one, other = (p, q) if side == 0 else (q, p)
+        if int(one[0]) != BOX:
+            x, y, z = clamp_direction(other, one[10], one[11], one[12])
+            best = min(best, overlap_along(p, q, x, y, z))
+            along = dx * one[3] + dy * one[6] + dz * one[9]
+            best = min(best, overlap_along(p, q, dx - along * one[3], dy - along * one[6], dz - along * one[9]))
+            along = x * one[3] + y * one[6] + z * one[9]
+            best = min(best, overlap_along(p, q, x - along * one[3], y - along * one[6], z - along * one[9]))
     return best
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.solids.image import KIND, bounding_rectangle, box_faces, depths_of
+from derender.render.blur import blur_into
 from derender.scene.solids import BOX
 
 LIMIT = 8.0
@@ -37,38 +38,6 @@ def misfit_map(image, depth, out):
             out[j, i] = m
             total += m
     return total
-
-
-@njit(cache=True, nogil=True)
-def blur_into(taps, depth, i0, i1, j0, j1, out):
-    """Blur pixels i0..i1 of rows j0..j1 (ends excluded), the edges of `depth` replicated, into out (j1-j0, i1-i0)."""
-    height, width = depth.shape
-    radius, count = taps.size - 1, i1 - i0
-    top, bottom = max(j0 - radius, 0), min(j1 + radius, height)
-    rows, line = np.empty((bottom - top, count)), np.empty(count + 2 * radius)
-    for j in range(top, bottom):
-        for n in range(line.size):
-            line[n] = depth[j, min(max(i0 - radius + n, 0), width - 1)]
-        weigh(taps[0], line[radius : radius + count], line[radius : radius + count], 0.0, rows[j - top])
-        for k in range(1, radius + 1):
-            weigh(taps[k], line[radius - k : radius - k + count], line[radius + k : radius + k + count], 1.0,
-                  rows[j - top])  # fmt: skip
-    for j in range(j0, j1):
-        weigh(taps[0], rows[j - top], rows[j - top], 0.0, out[j - j0])
-        for k in range(1, radius + 1):
-            weigh(taps[k], rows[max(j - k, 0) - top], rows[min(j + k, height - 1) - top], 1.0, out[j - j0])
-
-
-@njit(cache=True, nogil=True, borrows=True)
-def weigh(tap, one, other, kept, out):
-    """Write kept * out plus `tap` times two rows (n,), or the one where they are the same row, into out (n,)."""
-    share = tap if kept > 0.0 else 0.5 * tap
-    if kept == 0.0:
-        for n in range(out.size):
-            out[n] = share * (one[n] + other[n])
-    else:
-        for n in range(out.size):
-            out[n] += share * (one[n] + other[n])
 
 
 @njit(cache=True, nogil=True)

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import address_of, call_for_nothing, njit
+from derender.render.blur import blur_into
 from derender.render.raycast.antialias import TWO, draw_antialiased
 from derender.render.raycast.canvas import (
     FACE_BITS,
@@ -237,8 +238,8 @@ DRAW, RECORD = range(2)
 class Misfit(NamedTuple):
     """Arrays for comparing one observed image with scenes of one structure.
 
-    blurred, weighted, scratch, weight, spare : (H, W) float64: blurred model; derivative of the cost by it; scratch;
-        weight of each pixel in the normal equations; scratch.
+    blurred, weighted, weight : (H, W) float64: blurred model; derivative of the cost by it; weight of each pixel in the
+        normal equations.
     """
 
     canvas: Canvas
@@ -252,9 +253,7 @@ class Misfit(NamedTuple):
     row_costs: np.ndarray  # (H,) float64, of each row
     blurred: np.ndarray
     weighted: np.ndarray
-    scratch: np.ndarray
     weight: np.ndarray
-    spare: np.ndarray
     images: np.ndarray  # (P, H * W) float64, derivatives of the blurred image by the parameters
     bounds: np.ndarray  # (P, 4) int64, where not zero
     calls: np.ndarray  # (2,) int64, addresses in this process of `draw_antialiased` and `record`
@@ -275,7 +274,7 @@ def new_misfit(
     seen = np.isfinite(observed) & (observed > 0)
     precision = np.where(seen, 1.0 / np.broadcast_to(np.asarray(sigma, float), (height, width)) ** 2, 0.0)
     kinds = np.ascontiguousarray(kinds, np.int32)
-    blurred, weighted, scratch, weight, spare = np.zeros((5, height, width))
+    blurred, weighted, weight = np.zeros((3, height, width))
     canvas, records = new_canvas(camera, len(kinds)), new_records(camera, len(kinds))
     window = np.array([0, width, 0, height], np.int64)
     poses, sizes, active = np.empty((len(kinds), 4, 4)), np.empty((len(kinds), 3)), np.empty(len(kinds), np.bool_)
@@ -291,9 +290,7 @@ def new_misfit(
         row_costs=np.zeros(height),
         blurred=blurred,
         weighted=weighted,
-        scratch=scratch,
         weight=weight,
-        spare=spare,
         images=np.zeros((parameters, height * width)),
         bounds=np.zeros((parameters, 4), np.int64),
         calls=np.array(
@@ -316,12 +313,14 @@ def cost(misfit, poses, sizes):
     height, width = misfit.observed.shape
     margin = misfit.taps.shape[0] - 1
     call_for_nothing(misfit.calls[DRAW], canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], misfit.window)
-    dirty, changed = canvas.dirty, np.empty(4, np.int64)
+    dirty = canvas.dirty
     if dirty[0] < dirty[1]:
-        changed[0], changed[1] = max(dirty[0] - margin, 0), min(dirty[1] + margin, width)
-        changed[2], changed[3] = max(dirty[2] - margin, 0), min(dirty[3] + margin, height)
-        blur_rectangle(canvas.depth, misfit.taps, changed, misfit.scratch, misfit.blurred)
-        compare_rows(misfit, changed[2], changed[3])
+        left, right = max(dirty[0] - margin, 0), min(dirty[1] + margin, width)
+        top, bottom = max(dirty[2] - margin, 0), min(dirty[3] + margin, height)
+        blurred = np.empty((bottom - top, right - left))
+        blur_into(misfit.taps, canvas.depth, left, right, top, bottom, blurred)
+        misfit.blurred[top:bottom, left:right] = blurred
+        compare_rows(misfit, top, bottom)
     total = 0.0
     for row in range(height):
         total += misfit.row_costs[row]
@@ -385,7 +384,6 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
                      misfit.numbers[BACKGROUND], misfit.window, edges)  # fmt: skip
     spread(misfit.records, motions, moves, misfit.images)
     radius = misfit.taps.shape[0] - 1
-    blurred = misfit.spare
     for p in range(count):
         bounds = misfit.bounds[p]
         bounds[0], bounds[1], bounds[2], bounds[3] = width, 0, height, 0
@@ -399,9 +397,9 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
         bounds[2], bounds[3] = max(bounds[2] - radius, 0), min(bounds[3] + radius, height)
         if bounds[0] < bounds[1] and bounds[2] < bounds[3] and radius > 0:
             image = misfit.images[p].reshape(height, width)
-            blur_rectangle(image, misfit.taps, bounds, misfit.scratch, blurred)
-            for row in range(bounds[2], bounds[3]):
-                image[row, bounds[0] : bounds[1]] = blurred[row, bounds[0] : bounds[1]]
+            blurred = np.empty((bounds[3] - bounds[2], bounds[1] - bounds[0]))
+            blur_into(misfit.taps, image, bounds[0], bounds[1], bounds[2], bounds[3], blurred)
+            image[bounds[2] : bounds[3], bounds[0] : bounds[1]] = blurred
     weight, weighted = misfit.weight.reshape(height * width), misfit.weighted.reshape(height * width)
     for p in range(count):
         image = misfit.images[p]
@@ -424,34 +422,3 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
         first = misfit.bounds[p]
         for row in range(first[2], first[3]):
             misfit.images[p, row * width + first[0] : row * width + first[1]] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def blur_rectangle(image, taps, rectangle, scratch, blurred):
-    """Write the blurred image inside a rectangle (its margin is read from `image`, edges replicated).
-
-    image, blurred, scratch : (H, W) float64, different arrays. taps : (R + 1,) float64 from the centre outwards.
-    rectangle : (4,) int64, first column, end column, first row, end row.
-    """
-    height, width = image.shape
-    radius = taps.shape[0] - 1
-    c0, c1, r0, r1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
-    for row in range(max(r0 - radius, 0), min(r1 + radius, height)):
-        left, right = max(c0, min(radius, c1)), min(c1, max(width - radius, c0))
-        for column in range(c0, c1):
-            scratch[row, column] = taps[0] * image[row, column]
-        for k in range(1, radius + 1):
-            tap = taps[k]
-            for column in range(c0, min(left, c1)):
-                scratch[row, column] += tap * (image[row, max(column - k, 0)] + image[row, min(column + k, width - 1)])
-            for column in range(left, right):
-                scratch[row, column] += tap * (image[row, column - k] + image[row, column + k])
-            for column in range(max(right, left), c1):
-                scratch[row, column] += tap * (image[row, max(column - k, 0)] + image[row, min(column + k, width - 1)])
-    for row in range(r0, r1):
-        for column in range(c0, c1):
-            blurred[row, column] = taps[0] * scratch[row, column]
-        for k in range(1, radius + 1):
-            tap, above, below = taps[k], max(row - k, 0), min(row + k, height - 1)
-            for column in range(c0, c1):
-                blurred[row, column] += tap * (scratch[above, column] + scratch[below, column])
