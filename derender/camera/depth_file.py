@@ -143,6 +143,8 @@ def turned(seen: DepthImage, degrees: int) -> DepthImage:
 
 def _array(given: object) -> np.ndarray:
     """Return what a program gives for an image as an array; DerenderError where it is none."""
+    if isinstance(given, np.ma.MaskedArray):  # what is masked has no return
+        return given.filled(0 if given.dtype.kind in "iu" else np.nan)
     try:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths

@@ -191,7 +191,7 @@ def status_of(work: Callable[[], Any]) -> int:
     except OSError as error:
         if error.errno is None or error.strerror is None:
             raise
-        return _complain(f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
+        return _complain(str(DerenderError(error.strerror, error.filename or None)))
 
 
 def _leave(status: int) -> None:

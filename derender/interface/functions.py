@@ -157,8 +157,10 @@ def infer(
     document = prior if isinstance(prior, Document | None) else read_prior_document(prior)
     if not isinstance(image, DepthImage):
         image = read_depth(image, camera, depth_scale)
-    elif camera is not None:
-        raise TypeError("infer(): a DepthImage has its camera; leave camera out")
+    elif camera is not None or depth_scale is not None:
+        raise TypeError("infer(): a DepthImage has its camera and metres; leave camera and depth_scale out")
+    else:  # a program may have put anything into it
+        image = image._replace(depth=read_depth(image.depth, image.camera).depth)
     seen = look_at(image, document, "image", _warn)
     check_request(options, document, prior, "exact", _warn)
     posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)

@@ -17,6 +17,7 @@ from derender.physics.bodies import LEAST_MASS, Matter, matter_of_graph
 from derender.physics.intervention import Intervention, intervention
 from derender.physics.statics import ContactForce, Equilibrium, find_contacts, widest_gap
 from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory
+from derender.registry import suggest
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -91,6 +92,8 @@ def simulate_scene(
 
     if engine not in ENGINES:
         raise DerenderError(f"no engine is called {engine!r}", None, "choose from " + " ".join(ENGINES))
+    if not 0.0 < duration < np.inf:
+        raise DerenderError(f"duration is {duration!r}", None, "give seconds, more than none")
     if what is None:
         what = intervention(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
     matter, axes = (scene, upright_axes(scene)) if isinstance(scene, Matter) else _of_graph(scene, rng)
@@ -193,14 +196,19 @@ def probability(
     interventions : push, remove, add, tilt, shake, jitter, as `simulate_scene` takes them.
     """
     what = intervention(**interventions)
+    bodies: set[str] = set()
     if isinstance(event, str):
         word = event
 
         def event(outcome: Outcome) -> bool:
+            bodies.update(body.name for body in outcome.matter.bodies)
             return outcome.verdict == word if word in (STANDS, SETTLES, FALLS) else word in outcome.fallen
 
     runs = outcomes(scenes, what, seed, engine, duration, jobs, until, event)
-    return chance_of([bool(event(run)) for run in runs], missed=missed)
+    chance = chance_of([bool(event(run)) for run in runs], missed=missed)
+    if bodies and word not in (STANDS, SETTLES, FALLS, *bodies):
+        raise DerenderError(f"{word!r} is no verdict and no object", None, suggest(word, bodies))
+    return chance
 
 
 def upright_axes(matter: Matter) -> np.ndarray:

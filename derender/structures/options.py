@@ -75,6 +75,8 @@ class Options:
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, Integral) or value < least):
                 raise DerenderError(f"{name} is {value!r}", remedy=f"give a whole number from {least} up")
+        if self.budget is not None and not 0.0 < self.budget < np.inf:
+            raise DerenderError(f"budget is {self.budget!r}", remedy="give seconds, more than none")
         if self.only_known and self.known is None:
             raise DerenderError("nothing is known", "--only-known", "give a library with --known FILE")
 

@@ -71,6 +71,8 @@ def test_what_is_taken_for_an_image(image, tmp_path):
     for words, (thing, its_camera) in given.items():
         seen = derender.read_depth(thing, camera=its_camera)
         assert np.nanmax(abs(seen.depth - image.depth)) < 6e-4 and seen.camera == camera, words
+    masked = np.ma.masked_less(metres, 0.7)
+    np.testing.assert_array_equal(np.isnan(derender.read_depth(masked, camera).depth), masked.mask)
     tenths = np.round(10_000 * metres).astype(np.uint16)
     assert np.nanmax(abs(derender.read_depth(tenths, camera, 0.1).depth - image.depth)) < 6e-5
 
@@ -85,11 +87,18 @@ def test_what_is_taken_for_an_image(image, tmp_path):
         ({"depth": 1}, "a dict is no depth image; give a path, a DepthImage or an array"),
         (np.zeros((48, 64)), "no pixel has a depth"),
         ("missing.npy", "missing.npy: cannot read the depth image"),
+        (derender.DepthImage(np.ones((9, 9)), derender.Camera(9, 9, 4, 4, 8, 9)), "is 9 x 9 pixels, its camera 8 x 9"),
     ],
 )
 def test_what_is_refused_for_an_image(thing, words):
     with pytest.raises(DerenderError, match=words):
         derender.infer(thing)
+
+
+def test_a_depth_image_of_units_is_millimetres(image):
+    units = derender.DepthImage(np.nan_to_num(1000 * image.depth).round().astype(np.uint16), image.camera)
+    size = derender.infer(units, quick=True).objects[0].size
+    assert 0.01 < size.min() <= size.max() < 0.5
 
 
 def test_options_are_checked():
@@ -99,6 +108,8 @@ def test_options_are_checked():
         derender.infer(np.ones((48, 64)), method="mcmcm")
     with pytest.raises(DerenderError, match="--method smc is for objects that are given; add --scene"):
         derender.infer(np.ones((48, 64)), method="smc", camera=derender.Camera.from_field_of_view(64, 48))
+    with pytest.raises(DerenderError, match="budget is -1; give seconds"):
+        derender.infer(np.ones((48, 64)), budget=-1)
     with pytest.raises(TypeError, match="quick=True is method='map'"):
         derender.infer(np.ones((48, 64)), method="smc", quick=True)
     with pytest.raises(DerenderError, match="'bx' is no shape to look for; did you mean 'box'"):

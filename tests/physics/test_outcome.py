@@ -161,6 +161,14 @@ def test_probabilities_have_errors_and_stop_when_known(graph):
     assert np.mean(spread) == pytest.approx(np.std(shares), rel=0.15)
 
 
+def test_nobody_and_no_time_are_told(graph):
+    with pytest.raises(DerenderError, match="'gren' is no verdict and no object; did you mean 'green'"):
+        probability([graph], "gren", engine="statics")
+    for duration in (0.0, -1.0, float("nan")):
+        with pytest.raises(DerenderError, match="duration is"):
+            simulate_scene(graph, duration=duration)
+
+
 def test_no_object_falls_more_likely_than_the_scene(graph):
     runs = [simulate_scene(graph, engine="statics") for _ in range(3)]
     found = summary_of(runs[0], runs, [])
