@@ -27,7 +27,7 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, subset
 from derender.detection.solids.support import flat_top, share_over
-from derender.results.explanation import smooth_surface
+from derender.results.fit import smooth_surface
 from derender.scene.pose import rotation_z
 from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX

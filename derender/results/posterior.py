@@ -22,7 +22,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import document_from, document_text
 from derender.errors import DerenderError
 from derender.json_text import parse_json
-from derender.results.explanation import Explanation
+from derender.results.fit import Explanation
 from derender.sampling import diagnostics
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.graph import SceneGraph, Vertex

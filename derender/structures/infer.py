@@ -19,7 +19,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
-from derender.results.explanation import Explanation
+from derender.results.fit import Explanation
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import BareImagePrior, Missed
@@ -330,7 +330,7 @@ def explanation_of(
 
     observations : of the image, one for each plane on which something stands.
     """
-    from derender.results.explanation import explain
+    from derender.results.fit import explain
 
     behind, bent, bend = np.ones(depth.shape, bool), np.zeros(depth.shape, bool), np.zeros(depth.shape)
     for seen in observations:

@@ -5,7 +5,7 @@ import pytest
 from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
-from derender.results.explanation import BACKGROUND, FLOOR, UNEXPLAINED, explain, grow, smooth_surface
+from derender.results.fit import BACKGROUND, FLOOR, UNEXPLAINED, explain, grow, smooth_surface
 
 CAMERA = Camera.from_field_of_view(64, 48)
 BOX, WALL, GHOST = (slice(20, 28), slice(28, 36)), (slice(0, 6), slice(0, 64)), (slice(38, 42), slice(5, 9))

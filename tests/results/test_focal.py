@@ -9,8 +9,8 @@ from on_floor import on_floor
 from derender.camera.intrinsics import Camera
 from derender.interface.functions import infer
 from derender.render.raycast.depth import render_depth
+from derender.results.check import doubts_of, faces_of
 from derender.results.fit import fit_of
-from derender.results.focal import doubts_of, faces_of
 from derender.scene.graph import Contact, Vertex
 
 CAMERA = Camera.from_field_of_view(160, 120)
