@@ -10,7 +10,7 @@ import numpy as np
 from derender.atomic import write_text
 from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
-from derender.report.depth_pictures import depth_pictures
+from derender.report.pictures import depth_pictures
 from derender.results import trust
 from derender.results.table import as_page, extents_text, probability_text
 

@@ -1,17 +1,26 @@
-"""Arrays as pictures, without matplotlib: a report has to be written in a fraction of a second."""
+"""Arrays as pictures, without matplotlib: a report has to be written in a fraction of a second.
+
+And the pictures of a report: what was seen, what explains it, what is left, and what the posterior predicts; drawn over
+them outlines of objects and of regions in doubt, and a scale bar.
+"""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derender.atomic import write_bytes
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
+from derender.report import pictures
+from derender.report.contents import Report
+from derender.results.trust import Region
+from derender.scene import solids as kinds
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.solids import Solids
@@ -164,3 +173,170 @@ def place_of(turn: float, elevation: float, side: int) -> tuple[float, float]:
     """Return the (row, column) of a view on a map of `side` pixels."""
     radius = 0.5 * side * (1.0 - elevation / (0.5 * np.pi))
     return 0.5 * side + radius * float(np.cos(turn)), 0.5 * side + radius * float(np.sin(turn))
+
+
+FINEST = 320  # columns of an outline, at most: a page stays small
+SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # metres that a scale bar may be long
+LONGEST = 0.3  # share of the image's width
+
+
+def outline_path(mask: np.ndarray) -> str:
+    """Return the border of a mask (H, W) as an SVG path in its pixels, each pixel a unit square."""
+    padded = np.pad(mask, 1).astype(np.int8)
+    parts = []
+    for way, steps in (("h", np.diff(padded, axis=0)[:, 1:-1]), ("v", np.diff(padded, axis=1)[1:-1].T)):
+        # a run of one row or column where the mask begins or ends is one line
+        edges = np.pad(steps != 0, ((0, 0), (1, 1))).astype(np.int8)
+        line, begin = np.nonzero(np.diff(edges, axis=1) == 1)
+        _, end = np.nonzero(np.diff(edges, axis=1) == -1)
+        for where, first, last in zip(line, begin, end, strict=True):
+            x, y = (first, where) if way == "h" else (where, first)
+            parts.append(f"M{x} {y}{way}{last - first}")
+    return "".join(parts)
+
+
+def area_path(mask: np.ndarray) -> str:
+    """Return a mask (H, W) as an SVG path of rectangles, one for each run of a row."""
+    edges = np.pad(mask, ((0, 0), (1, 1))).astype(np.int8)
+    row, begin = np.nonzero(np.diff(edges, axis=1) == 1)
+    _, end = np.nonzero(np.diff(edges, axis=1) == -1)
+    return "".join(f"M{a} {y}h{b - a}v1h{a - b}z" for y, a, b in zip(row, begin, end, strict=True))
+
+
+def marks_svg(
+    shape: tuple[int, int], objects: Iterable[tuple[str, np.ndarray]], regions: Sequence[Region] = (), bar: str = ""
+) -> str:
+    """Return what lies over a picture of (H, W) pixels; the objects show when they are chosen.
+
+    objects : (name, mask (H, W)). bar : of `scale_bar`.
+    """
+    step = max(1, -(-shape[1] // FINEST))
+    size = 0.05 * shape[1] / step
+    parts = []
+    for name, mask in objects:
+        small = mask[::step, ::step]
+        if small.any():
+            parts.append(f'<g class="mark" data-object="{escape(name)}"><path class="area" d="{area_path(small)}"/>'
+                         f'<path class="edge" d="{outline_path(small)}"/></g>')  # fmt: skip
+    for region in regions:
+        small = region.mask[::step, ::step]
+        if small.any():
+            rows, columns = np.nonzero(small)
+            nearest = np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2)
+            parts.append(f'<path class="doubt" d="{outline_path(small)}"/><text class="doubt" font-size="{size:.1f}" '
+                         f'x="{columns[nearest]}" y="{rows[nearest] + 0.35 * size:.1f}" text-anchor="middle">'
+                         f"{escape(region.name)}</text>")  # fmt: skip
+    view = f'viewBox="0 0 {shape[1] / step:g} {shape[0] / step:g}"'
+    return f'<svg class="marks" {view} preserveAspectRatio="none" aria-hidden="true">{"".join(parts)}{bar}</svg>'
+
+
+def scale_bar(camera: Camera, distance: float) -> str:
+    """Return a bar of a round length at a distance (metres along the axis), for `marks_svg` of the camera's images."""
+    step = max(1, -(-camera.width // FINEST))
+    longest = LONGEST * camera.width * distance / camera.fx
+    length = max((each for each in SCALES if each <= longest), default=SCALES[0])
+    across = length * camera.fx / distance / step
+    width, height = camera.width / step, camera.height / step
+    x, y, size = 0.04 * width, height - 0.05 * width, 0.045 * width
+    words = f"{100 * length:g} cm" if length < 1.0 else f"{length:g} m"
+    words += f" at {distance:.2g} m"
+    bar = f'd="M{x:.1f} {y:.1f}h{across:.1f}"'
+    line = f'<path class="under" {bar} stroke-width="{0.024 * width:.1f}"/>'
+    line += f'<path class="scale" {bar} stroke-width="{0.012 * width:.1f}"/>'
+    place = f'x="{x:.1f}" y="{y - 0.5 * size:.1f}" font-size="{size:.1f}"'
+    return f'{line}<text class="scale" {place}>{words}</text>'
+
+
+# A residual picture's scale: what holds all but 5 % of the residuals, yet no less than 2 mm and no more than 5 cm.
+RESIDUAL_SCALE = (0.002, 0.05)
+PREDICTED = 320  # columns of the pictures of the posterior predictive, at most
+SURPRISE = 4.0  # standard deviations at the ends of that picture's scale
+
+
+def depth_pictures(report: Report) -> str:
+    """Return the pictures of a report's image and of what explains it, as HTML; none without a camera."""
+    if report.camera is None:
+        return ""
+    from derender.render.raycast.depth import render_depth
+
+    clean, label = render_depth(report.solids, report.camera)
+    explained = as_compared(clean, report.likelihood)
+    objects = [(name, label == index) for index, name in enumerate(report.solid_names)
+               if report.solids.kind[index] != kinds.PLANE]  # fmt: skip
+    near = np.isin(label, np.flatnonzero(report.solids.kind != kinds.PLANE))
+    if report.observed is None:
+        low, high = pictures.depth_limits(explained, near)
+        still = pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names))
+        marks = marks_svg(report.camera.shape, objects)
+        shown = [picture("explained depth", explained, low, high, "m", pictures.DEPTH_ANCHORS, marks),
+                 f'<figure><div class="layers"><img src="{still}" alt="the scene">{marks}</div></figure>']  # fmt: skip
+        return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>"
+    low, high = pictures.depth_limits(report.observed, near)
+    regions: list[Region] = [region for doubt in report.doubts for region in doubt.regions]
+    middle = report.observed[near & np.isfinite(report.observed)]
+    middle = middle if middle.size else report.observed[np.isfinite(report.observed)]
+    bar = scale_bar(report.camera, float(np.median(middle))) if middle.size else ""
+    marks = marks_svg(report.camera.shape, objects, regions, bar)
+    plain, doubtful = marks_svg(report.camera.shape, objects), marks_svg(report.camera.shape, objects, regions)
+    residual = report.observed - explained
+    known = np.abs(residual[np.isfinite(residual)])
+    scale = float(np.clip(np.percentile(known, 95), *RESIDUAL_SCALE)) if known.size else RESIDUAL_SCALE[0]
+    words = "residual: observed − explained"
+    words += f" (median |r| {1000 * np.median(known):.1f} mm)" if known.size else ""
+    ends = -1000 * scale, 1000 * scale
+    shown = [
+        picture("observed depth", report.observed, low, high, "m", pictures.DEPTH_ANCHORS, marks),
+        picture("explained depth", explained, low, high, "m", pictures.DEPTH_ANCHORS, plain),
+        picture(words, 1000 * residual, *ends, "mm", pictures.RESIDUAL_ANCHORS, doubtful),
+    ]
+    return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>" + _predictive(report, report.observed)
+
+
+def as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
+    """Return the depth image that the likelihood compares with the observed one: background filled in, blurred."""
+    from derender.render.blur import blur
+
+    background, sigma = likelihood.get("background"), likelihood.get("blur")
+    filled = depth if not isinstance(background, float) else np.fmin(depth, background)
+    return blur(filled, sigma) if isinstance(sigma, float) and np.all(np.isfinite(filled)) else filled
+
+
+def _predictive(report: Report, observed: np.ndarray) -> str:
+    """Return pictures of the posterior predictive: how far its draws scatter, and how surprising the image is."""
+    from derender.render.raycast.depth import render_depth
+
+    camera = report.camera
+    if len(report.draws) < 2 or camera is None or all(row["draws"].size == 1 for row in report.parameters):
+        return ""
+    step = max(1, -(-camera.width // PREDICTED))
+    some = np.s_[::step, ::step]  # after the blur: pixels of a smaller camera would not mix with their neighbours
+    seen = observed[some]
+    drawn = np.array([as_compared(render_depth(each, camera)[0], report.likelihood)[some] for each in report.draws])
+    mean, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
+    noise = report.likelihood.get("sigma", 0.0) + report.likelihood.get("sigma_growth", 0.0) * mean**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        surprise = (seen - mean) / np.hypot(spread, noise)
+    widest = np.nanpercentile(spread, 90) if np.isfinite(spread).any() else 0.0
+    widest = float(np.clip(widest, 5e-4, 0.05))
+    words = f"surprise: (observed − predicted) / sd, of {len(report.draws)} draws and the noise"
+    shown = [
+        picture(
+            "spread of the posterior's draws (sd)", 1000 * spread, 0.0, 1000 * widest, "mm", pictures.DEPTH_ANCHORS
+        ),
+        picture(words, surprise, -SURPRISE, SURPRISE, "sd", pictures.RESIDUAL_ANCHORS),
+    ]
+    return '<h2>What the posterior predicts</h2><div class="pictures">' + "".join(shown) + "</div>"
+
+
+def picture(
+    words: str, values: np.ndarray, low: float, high: float, unit: str, anchors: tuple[str, ...], marks: str = ""
+) -> str:
+    """Return a figure of values (H, W) with its scale, and marks over it."""
+    ramp = ", ".join("#" + colour for colour in anchors)
+    form = ".2f" if unit == "m" else "+.1f" if low < 0.0 else ".1f"
+    return (
+        f'<figure><div class="layers"><img src="{pictures.painted_uri(values, low, high, anchors)}" '
+        f'alt="{escape(words)}">{marks}</div><figcaption><span>{escape(words)}</span><span>{low:{form}} '
+        f'<span class="bar" style="background:linear-gradient(90deg, {ramp})"></span> {high:{form}} {unit}</span>'
+        "</figcaption></figure>"
+    )

@@ -9,8 +9,7 @@ from derender.atomic import write_text
 from derender.dynamics.inference import Identified, identify
 from derender.dynamics.motion import Motion, motion_of
 from derender.dynamics.parameters import Prior
-from derender.dynamics.prediction import predict
-from derender.dynamics.result import LEVEL, Answer
+from derender.dynamics.result import LEVEL, Answer, predict
 from derender.dynamics.shooting import RESTS
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter

@@ -16,9 +16,8 @@ from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
 from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
-from derender.tracking.hidden import last_seen, moved, one_frame_later
+from derender.tracking.hidden import Blob, blobs_of, last_seen, moved, one_frame_later, shifts_to
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
-from derender.tracking.unexplained import Blob, blobs_of, shifts_to
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera

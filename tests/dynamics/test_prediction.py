@@ -11,7 +11,7 @@ from derender.dynamics.engine import Engine, Material, Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.prediction import come_to_rest, predict
+from derender.dynamics.result import come_to_rest, predict
 from derender.dynamics.states import from_poses, moved, to_poses
 from derender.physics.bodies import Body, Matter
 from derender.physics.mujoco_model import Diverged

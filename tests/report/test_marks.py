@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.report.depth_pictures import area_path, marks_svg, outline_path, scale_bar
+from derender.report.pictures import area_path, marks_svg, outline_path, scale_bar
 from derender.results.trust import Region
 
 
