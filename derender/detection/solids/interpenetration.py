@@ -53,13 +53,16 @@ def clamp_direction(box, x, y, z):
 
 
 @njit(cache=True, nogil=True, borrows=True)
-def penetration(p, q):
-    """Return the depth in metres by which two solids overlap; negative: a lower bound of minus their distance."""
+def penetration(p, q, enough=0.0):
+    """Return the depth in metres by which two solids overlap; negative: a lower bound of minus their distance.
+
+    enough : a depth up to which it is all the same how deep: found along one axis, no other is tried.
+    """
     dx, dy, dz = q[10] - p[10], q[11] - p[11], q[12] - p[12]
     far = 0.25 * ((np.sqrt(p[13] ** 2 + p[14] ** 2 + p[15] ** 2) + np.sqrt(q[13] ** 2 + q[14] ** 2 + q[15] ** 2)) ** 2)
     if dx * dx + dy * dy + dz * dz > far:
         return -0.01
-    return least_overlap(p, q, 0.0)
+    return least_overlap(p, q, enough)
 
 
 @njit(cache=True, nogil=True, borrows=True)
@@ -80,7 +83,8 @@ def least_overlap(p, q, enough):
         best = min(best, overlap_along(p, q, q[1 + axis], q[4 + axis], q[7 + axis]))
         if best <= enough:
             return best
-    for i in range(3):
+    both_upright = abs(p[9]) == 1.0 and abs(q[9]) == 1.0
+    for i in range(0 if both_upright else 3):  # of two upright ones these are their axes
         for j in range(3):
             x = p[4 + i] * q[7 + j] - p[7 + i] * q[4 + j]
             y = p[7 + i] * q[1 + j] - p[1 + i] * q[7 + j]

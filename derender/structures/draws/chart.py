@@ -381,7 +381,7 @@ def log_prior_about(chart, rows, touched):
                 total -= 0.5 * (low / chart.sunk + 1.0) ** 2
         for j in range(k):
             if touched[k + 1] or touched[j + 1]:
-                depth = penetration(rows[k], rows[j])
+                depth = penetration(rows[k], rows[j], chart.overlap)
                 if depth > chart.overlap:
                     total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
     return total
