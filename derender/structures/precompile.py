@@ -1,8 +1,8 @@
 """Kernels compiled by a second process while the first one compiles others: half the wait at the first use.
 
-A command says with `precompile` what it will need late. If it comes to compile anything, a process starts that
-compiles that, on a scene of a few pixels; the kernels reach the command through the cache (compilation/cache.py), which
-lets no two processes compile the same one.
+A command that infers a bare image needs late what draws from the posterior. If it comes to compile anything, a process
+starts that compiles that, on a scene of a few pixels; the kernels reach the command through the cache
+(compilation/cache.py), which lets no two processes compile the same one.
 """
 
 import functools
@@ -16,15 +16,15 @@ from derender.compilation.cache import when_compiling
 WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compiled for
 
 
-def precompile(name: str) -> None:
-    """Have the kernels of one of PARTS compiled beside this process, should it compile any; with one processor, not."""
+def precompile() -> None:
+    """Have what draws compiled beside this process, should it compile anything; with one processor, not."""
     if len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1:
-        when_compiling(functools.partial(_start, name))
+        when_compiling(_start)
 
 
 @functools.cache  # it keeps the pipe to the other process open as long as this one lives
-def _start(name: str) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, "-P", "-m", "derender.structures.precompile", name], stdin=subprocess.PIPE,
+def _start() -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, "-P", "-m", "derender.structures.precompile"], stdin=subprocess.PIPE,
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
 
 
@@ -67,48 +67,6 @@ def draws_on_a_floor() -> None:
     structure_posterior(np.random.default_rng(0), refined, names_of(state), 1.0, [only_draw(refined)])
 
 
-def steps_of_chains() -> None:
-    """Compile the steps of a chain over a given scene, for their types alone: what they call is not asked for.
-
-    The engine and the contacts are left to the command, which needs them first; what it needs last comes last.
-    """
-    import numpy as np
-
-    from derender.compilation.cache import address_of
-    from derender.document import read_prior_document
-    from derender.posterior.compiled.evaluate import stand_all, sweep
-    from derender.posterior.compiled.model import Calls, calls_of, chain_of, kernels_of, model_of, objects_below
-    from derender.posterior.kernels import mixture
-    from derender.posterior.kernels.base import first_tuning
-    from derender.posterior.target import default_parts
-    from derender.render.raycast.depth import render_depth
-    from derender.render.raycast.state import GAUSSIAN, new_state
-    from derender.structures.given import targets
-
-    document, rng = read_prior_document("figure-4"), np.random.default_rng(0)
-    camera = document.camera
-    assert camera is not None
-    image = np.full(camera.shape, 0.9)
-    target, _ = targets(document, image, camera, 0)[0]
-    values = target.space.sample(rng)
-    parts = mixture(target.space, default_parts())
-    model = model_of(target, lambda kernel, *arguments: 0)
-    chain = chain_of(target, False)
-    no_places = dict.fromkeys(range(len(parts)), np.empty(0))
-    kernels = kernels_of(target.space, parts, first_tuning(target.space, values), frozenset(), no_places,
-                         [Calls()] * len(parts), lambda objects: objects_below(target, objects))  # fmt: skip
-    engine = new_state(camera, image, target.template.solids(), GAUSSIAN, np.zeros(2), 1.0)
-    kept, counts = np.empty((1, len(values) + 2)), np.zeros((len(parts), 2), np.int64)
-    address_of(sweep, rng, model, kernels, chain, engine, 0, 1, 1, 1.0, kept, counts)
-    calls_of(target, [part for part in parts if not part.type.startswith("relocate")], model, chain)
-    address_of(stand_all, model, chain, kept, counts, np.empty((1, 1, 3)))
-    render_depth(target.template.solids(), camera)  # for the report
-    calls_of(target, parts, model, chain)
-
-
-PARTS = {"draws": draws_on_a_floor, "steps": steps_of_chains}
-
-
 if __name__ == "__main__":
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    PARTS[sys.argv[1]]()
+    draws_on_a_floor()

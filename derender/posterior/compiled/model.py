@@ -59,11 +59,8 @@ class NotCompiled(Exception):
 Address = Callable[..., int]  # from a kernel and arguments of the types that it will get to the number that calls it
 
 
-def model_of(target: "SceneTarget", address: Address = address_of) -> Model:
-    """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form.
-
-    address : compiles a kernel for some arguments and returns where it lies.
-    """
+def model_of(target: "SceneTarget") -> Model:
+    """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form."""
     graph, space = target.template, target.space
     try:
         terms = table_of(target.constraints, graph)
@@ -72,13 +69,13 @@ def model_of(target: "SceneTarget", address: Address = address_of) -> Model:
     for unknown in space.unknowns:
         if unknown.distribution.size == 1 and not unknown.distribution.compiled:
             raise NotCompiled(f"the distribution of {unknown.address}")
-    unknowns, laws = laws_of(space, target.folds, address)
-    vertices, extents = vertices_of(graph, root_code(target), address)
+    unknowns, laws = laws_of(space, target.folds, address_of)
+    vertices, extents = vertices_of(graph, root_code(target))
     names = {name: n for n, name in enumerate(graph.names)}
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
     numbers, pose = np.empty((2, 1, SHAPES + 3)), np.empty((2, 1, 4, 4))  # as in a Chain
-    terms_at = address(sum_of_terms, terms, vertices, numbers, pose) if len(terms) else 0
+    terms_at = address_of(sum_of_terms, terms, vertices, numbers, pose) if len(terms) else 0
     return Model(
         unknowns=unknowns,
         laws=laws,
@@ -90,9 +87,7 @@ def model_of(target: "SceneTarget", address: Address = address_of) -> Model:
     )
 
 
-def vertices_of(
-    graph: SceneGraph, root: int = FIXED_ROOT, address: Address = address_of
-) -> tuple[np.ndarray, np.ndarray]:
+def vertices_of(graph: SceneGraph, root: int = FIXED_ROOT) -> tuple[np.ndarray, np.ndarray]:
     """Return Model.vertices and Model.extents of a graph. root : how the root's numbers give its pose."""
     count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
     names = {name: n for n, name in enumerate(graph.names)}
@@ -110,8 +105,8 @@ def vertices_of(
         extents[n] = extents_of(vertex)
     vertices[:6, count] = count, root, FRAME, -1, -1, -1
     arguments = index, index, size, index, size, index, index
-    vertices[POSE_AT] = address(relative_pose, *arguments, np.zeros(SLOTS), frame)
-    vertices[INVERSE_AT] = address(invert, *arguments, frame, np.zeros(SLOTS))
+    vertices[POSE_AT] = address_of(relative_pose, *arguments, np.zeros(SLOTS), frame)
+    vertices[INVERSE_AT] = address_of(invert, *arguments, frame, np.zeros(SLOTS))
     return vertices, extents
 
 
