@@ -1,13 +1,10 @@
-"""The integral of a density, from draws of it: bridge sampling, with its own error.
+"""The integral of a density, from draws of it, with its own error.
 
-Meng and Wong, "Simulating ratios of normalizing constants via a simple identity" (Statistica Sinica 1996). With draws x
-of the density p / Z and y of a normalised one g that resembles it, the optimal bridge solves
-
-    Z = mean_y [p / (s1 p + s2 Z g)] / mean_x [g / (s1 p + s2 Z g)],    s1 = n1 / (n1 + n2), s2 = 1 - s1,
-
-n1 being what the draws of p are worth. g is a t distribution fitted to half of the draws and bridged to the other half,
-and the other way round, so that no draw is used twice. The relative error is that of Fruehwirth-Schnatter (Econometrics
-Journal 2004), and what the two halves differ by.
+Importance sampling that adapts: Cappe, Guillin, Marin and Robert, "Population Monte Carlo" (Journal of Computational
+and Graphical Statistics 2004). Points x are drawn of a mixture g of t distributions and weighed by w = p(x) / g(x). The
+mixture begins where the draws lie and is fitted to the weighed points, round after round, until these are worth ENOUGH
+independent draws. The mean weight of the last round, which no fit has seen, is the integral. Of more than a dozen
+coordinates too many points are needed; a bridge to a chain that had not met several modes in proportion was too low.
 """
 
 import math
@@ -16,10 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.sampling.diagnostics import mean_ess
-
-ROUNDS = 100  # of the fixed point's iteration, at most; each halves the error or better
-EXACT = 1e-8  # nats between two rounds at which it has converged
+# Points of the first round, for each coordinate and at least; times as many in each round; and rounds at most.
+POINTS, LEAST, GROWTH, ADAPTATIONS = 50, 200, 1.3, 6
+ENOUGH = 50.0  # independent draws that a round's points are to be worth: a seventh of a nat
+# Pieces of a chain about which parts of the mixture lie at first, the share of a part's spread that is its piece's own
+# and not that of all draws, and times theirs that of one more part.
+PIECES, OWN, WIDE = 4, 0.8, 6.0
+# Times its points' covariance a part is wide later; its least share; points for each coordinate that its former place
+# counts as; and weights that are cut to the next.
+WIDER, LEAST_SHARE, HELD, CUT = 1.3, 0.05, 2.0, 5
 LEAST_FREEDOM = 5.0  # degrees of freedom of t: heavier tails than any normal-like density has
 ROUNDING = 1e-10  # share of a coordinate's variance by which a covariance is kept from being singular
 
@@ -31,66 +33,84 @@ class Evidence(NamedTuple):
     standard_error: float  # of the logarithm
 
 
-def evidence(
-    rng: np.random.Generator,
-    target: Callable[[np.ndarray], np.ndarray],
-    draws: np.ndarray,
-    log_density: np.ndarray,
-    count: int,
-) -> Evidence:
+class Mixture(NamedTuple):
+    """A mixture of K t distributions over R^D."""
+
+    shares: np.ndarray  # (K,), which sum to 1
+    means: np.ndarray  # (K, D)
+    spreads: np.ndarray  # (K, D, D), their scale matrices
+    freedom: float  # degrees
+
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (count, D), and the log densities (K, count) there of the parts times their shares."""
+        factors = np.linalg.cholesky(self.spreads)
+        parts = list(zip(self.means, factors, rng.multinomial(count, self.shares), strict=True))
+        points = np.concatenate([draw_t(rng, mean, factor, self.freedom, many) for mean, factor, many in parts])
+        own = [log_t(points, mean, factor, self.freedom) for mean, factor, _ in parts]
+        return points, np.log(self.shares)[:, None] + own
+
+
+def evidence(rng: np.random.Generator, target: Callable[[np.ndarray], np.ndarray], draws: np.ndarray) -> Evidence:
     """Return the Evidence of a density over R^D.
 
-    target : log densities (m,) of points (m, D).
-    draws : (n, D), of the density, in the order of a chain; log_density : (n,), there.
-    count : points that are drawn of the fitted density, for each half.
+    target : log densities (m,) of points (m, D). draws : (n, D), of the density, in the order of a chain.
     """
-    size = draws.shape[1]
-    if size == 0:
+    if draws.shape[1] == 0:
         return Evidence(float(target(draws[:1])[0]), 0.0)
-    middle = len(draws) // 2
-    halves = (slice(0, middle), slice(middle, None))
-    found = []
-    for fitted, bridged in (halves, halves[::-1]):
-        mean, factor = fit(draws[fitted])
-        freedom = max(LEAST_FREEDOM, float(size))
-        points = draw_t(rng, mean, factor, freedom, count)
-        at_draws = log_density[bridged] - log_t(draws[bridged], mean, factor, freedom)
-        at_points = target(points) - log_t(points, mean, factor, freedom)
-        found.append(bridge(at_draws, at_points))
-    logs = [each.log for each in found]
-    apart = 0.5 * abs(logs[0] - logs[1])
-    within = 0.5 * math.hypot(found[0].standard_error, found[1].standard_error)
-    return Evidence(float(np.mean(logs)), max(apart, within))
-
-
-def bridge(at_draws: np.ndarray, at_points: np.ndarray) -> Evidence:
-    """Return the Evidence from log p - log g at draws of p (n1,) and of g (n2,)."""
-    shift = float(np.median(at_draws))
-    at_draws = np.clip(at_draws - shift, -600.0, 600.0)
-    at_points = np.clip(at_points - shift, -600.0, 600.0)
-    worth = mean_ess(np.exp(-np.logaddexp(0.0, at_draws))[None])
-    worth = len(at_draws) if not np.isfinite(worth) else min(max(worth, 1.0), len(at_draws))
-    share = worth / (worth + len(at_points))
-    log = 0.0
-    for _ in range(ROUNDS):
-        first = -np.logaddexp(math.log(share), math.log(1.0 - share) + log - at_points)
-        second = -np.logaddexp(math.log(share) + at_draws, math.log(1.0 - share) + log)
-        new = _log_mean(first) - _log_mean(second)
-        log, before = new, log
-        if abs(log - before) < EXACT:
+    mixture, found = about(draws), Evidence(-np.inf, np.inf)
+    first = max(POINTS * draws.shape[1], LEAST)
+    for count in (first * GROWTH ** np.arange(ADAPTATIONS)).astype(int):
+        points, under = mixture.draw(rng, count)
+        logs = target(points) - np.logaddexp.reduce(under, axis=0)
+        most = logs.max()
+        if most == -np.inf:  # all are impossible
+            mixture = mixture._replace(spreads=mixture.spreads / WIDER**2)
+            continue
+        weights = np.exp(logs - most)
+        former, log, worth = found.log, float(most + math.log(weights.mean())), worth_of(weights)
+        still_rising = 0.5 * abs(log - former) if former > -np.inf else 0.0  # the rounds have not met all of it
+        found = Evidence(log, max(math.sqrt(max(1.0 / worth - 1.0 / count, 0.0)), still_rising))
+        if worth >= ENOUGH:
             break
-    spread = relative_variance(first) / len(at_points) + relative_variance(second) / worth
-    return Evidence(log + shift, math.sqrt(spread))
+        mixture = refitted(mixture, points, under, weights)
+    return found
 
 
-def _log_mean(logs: np.ndarray) -> float:
-    return float(np.logaddexp.reduce(logs) - math.log(len(logs)))
+def about(draws: np.ndarray) -> Mixture:
+    """Return the Mixture whose parts lie about the pieces of a chain's draws (n, D), each of which may have stayed in
+    one mode of several, and one about all of them."""
+    mean, factor = fit(draws)
+    pieces, spread = np.array_split(draws, PIECES), factor @ factor.T
+    means = np.array([*(piece.mean(axis=0) for piece in pieces), mean])
+    own = [OWN * np.atleast_2d(np.cov(piece.T)) + (1.0 - OWN) * spread for piece in pieces]
+    shares = np.full(len(means), 1.0 / len(means))
+    return Mixture(shares, means, np.array([*own, WIDE * spread]), max(LEAST_FREEDOM, float(draws.shape[1])))
 
 
-def relative_variance(logs: np.ndarray) -> float:
-    """Return Var[w] / E[w]^2 of weights by their logarithms (n,)."""
-    weights = np.exp(logs - logs.max())
-    return float(weights.var() / max(weights.mean() ** 2, 1e-300))
+def refitted(mixture: Mixture, points: np.ndarray, under: np.ndarray, weights: np.ndarray) -> Mixture:
+    """Return the Mixture fitted to points (m, D) with weights (m,), each part by as much as its points are worth.
+
+    under : see `Mixture.draw`.
+    """
+    most = np.partition(weights, -CUT - 1)[-CUT - 1]
+    weights = np.minimum(weights, most) if most > 0.0 else weights  # in a first round a few would have it all
+    worth = worth_of(weights)
+    each = np.exp(under - np.logaddexp.reduce(under, axis=0)) * weights / weights.sum()
+    means, spreads = mixture.means.copy(), mixture.spreads.copy()
+    for k, own in enumerate(each):
+        share = max(own.sum(), 1e-300)
+        told = share * worth / (share * worth + HELD * points.shape[1])
+        mean = own @ points / share
+        spread = (points - mean).T * own @ (points - mean) / share
+        means[k] += told * (mean - means[k])
+        spreads[k] += told * (WIDER * spread - spreads[k])
+    shares = np.maximum(each.sum(axis=1), LEAST_SHARE)
+    return Mixture(shares / shares.sum(), means, spreads, mixture.freedom)
+
+
+def worth_of(weights: np.ndarray) -> float:
+    """Return how many independent draws points with these weights (m,) are worth."""
+    return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
 def fit(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,6 @@ What one by one leaves open is open together (`combinations`): where a can may a
 longer than it is wide, one more structure has both changes.
 """
 
-import math
 from collections.abc import Iterator
 from functools import partial
 from itertools import product
@@ -22,7 +21,6 @@ from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names, names_of, structure_key
 from derender.detection.solids.state import State
 from derender.detection.solids.support import final_parents
-from derender.sampling.evidence import Evidence
 from derender.scene.solids import BOX
 from derender.structures.changes import (
     FEW_PIXELS,
@@ -44,24 +42,13 @@ from derender.structures.draws.refined import (
     floor_pose_of,
     height,
     members_of,
-    near_evidence,
     pixels_of,
     refined_at,
     refitted,
     with_sensor_refitted,
     without_unseen,
 )
-from derender.structures.weighing import (
-    CLOSE,
-    IMPROBABLE,
-    NEAR_ERROR,
-    Block,
-    Weighed,
-    discrete_part,
-    evidence_over,
-    of_block,
-    with_own_sensor,
-)
+from derender.structures.weighing import CLOSE, IMPROBABLE, Block, Weighed, discrete_part, of_block, with_own_sensor
 
 PRUNE_THRESHOLD = 25.0  # nats below the best mode from which on a change is not looked at any further
 PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
@@ -118,9 +105,9 @@ def of_one_solid(
     if height(removed) > height(best) - PRUNE_THRESHOLD:
         candidates.append((removed, []))
     own = Block(best, [i])
-    others += [of_block(rng, trial, places, own) for trial, places in candidates]
+    others += [of_block(rng, Block(trial, places), own) for trial, places in candidates]
     own = Block(best, [i, *on_it]) if on_it else own
-    others += [of_block(rng, trial, [i, *on_it, *range(len(best.state), len(trial.state))], own)
+    others += [of_block(rng, Block(trial, [i, *on_it, *range(len(best.state), len(trial.state))]), own)
                for trial in likeliest_of_each(several)]  # fmt: skip
     return others
 
@@ -242,25 +229,10 @@ def weighed_whole(
     trials = [with_own_sensor(rng, trial, range(len(trial.state)), WORTHWHILE)
               for trial in climbed(rng, best, states, rules, steps, PROMISING)]  # fmt: skip
     trials = [trial for trial in trials if height(trial) > height(best) - PRUNE_THRESHOLD and all_seen(trial)]
-    if not trials:
-        return []
-    everyone = (best, *trials)
-    near = [Evidence(near_evidence(each), NEAR_ERROR) for each in everyone]
-    first = max(each.log for each in near)
-    likely = [k for k in range(len(near)) if near[k].log > first - IMPROBABLE]
-    tasks = [partial(evidence_over, refined=everyone[k]) for k in likely]
-    whole = list(near)
-    if len(likely) > 1:
-        for k, found in zip(likely, in_threads(rng, tasks), strict=True):
-            whole[k] = found
-    weighed = []
-    for k, trial in enumerate(trials, start=1):
-        found, own = whole[k], whole[0]
-        if max(found.standard_error, own.standard_error) > NEAR_ERROR:  # normals about both modes tell more
-            found, own = near[k], near[0]
-        odds = found.log - own.log + trial.sensor.log_prior() - best.sensor.log_prior()
-        weighed.append(Weighed(trial, odds, math.hypot(found.standard_error, own.standard_error)))
-    return weighed
+    own, blocks = Block(best, None), [Block(trial, None) for trial in trials]
+    if any(block.near > own.near - IMPROBABLE for block in blocks):
+        own.evidence(rng)  # once, before others ask for it side by side
+    return in_threads(rng, [partial(of_block, block=block, own=own) for block in blocks])
 
 
 def climbed(
@@ -315,4 +287,4 @@ def combined(rng: np.random.Generator, best: Refined, changes: Changes, rules: R
     trial = with_own_sensor(rng, trial, solids, WORTHWHILE)
     if height(trial) <= height(best) - PRUNE_THRESHOLD or not all_seen(trial):
         return None
-    return of_block(rng, trial, solids, Block(best, solids))
+    return of_block(rng, Block(trial, solids), Block(best, solids))

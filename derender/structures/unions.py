@@ -69,7 +69,7 @@ def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules
     new = new.without(j)
     place = i - (j < i)
     trial = tried(rng, best, new, [place], rules)
-    return None if trial is None else of_block(rng, trial, [place], Block(best, [i, j]))
+    return None if trial is None else of_block(rng, Block(trial, [place]), Block(best, [i, j]))
 
 
 def recuts(rng, best, rules):
@@ -137,7 +137,7 @@ def put_one_on(rng: np.random.Generator, best: Refined, i: int, j: int, rules: R
     higher = with_bottom(state.rows[i], top)
     new = state.changed(j, row=under, cube=False).changed(i, row=higher, cube=False, parent=j, bottom=top)
     trial = tried(rng, best, new, [i, j], rules)
-    return None if trial is None else of_block(rng, trial, [i, j], Block(best, [i, j]))
+    return None if trial is None else of_block(rng, Block(trial, [i, j]), Block(best, [i, j]))
 
 
 def change_of_image(best: Refined, chart: Chart, values: np.ndarray) -> float:

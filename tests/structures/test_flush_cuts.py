@@ -103,7 +103,7 @@ def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
     kept, cut = 1, (0, 2)  # the other side; the board and the side that it is cut from
     np.testing.assert_allclose(likeliest.trial.state.rows[kept, 10:16], best.state.rows[kept, 10:16], atol=0.02)
     rng = np.random.default_rng(1)
-    own = evidence_over(rng, best, cut)
+    own, _ = evidence_over(rng, best, cut)
     again, _ = odds_at(rng, best, likeliest._replace(places=(cut, cut)), best.values, own, RULES)
     assert abs(again - likeliest.odds) < 0.5 * np.log(CERTAIN)
 

@@ -300,9 +300,8 @@ def test_evidence_of_cube_against_box_is_that_of_quadrature():
         chart, values = make_chart(state, floor_pose(), Rules(0.0015))
         sizes = sorted({int(s) for s in chart.slots[0, charts.SIZE :]})
         engine = engine_of(chart, sensor)
-        drawn = sample(rng, chart, sensor, values, 1, 600, 12, sizes)
-        found.append(log_evidence(rng, chart, sensor, values, drawn, sizes))
-        (draws,) = drawn
+        (draws,) = sample(rng, chart, sensor, values, 1, 600, 12, sizes)
+        found.append(log_evidence(rng, chart, sensor, values, draws.values, sizes))
         spread = draws.values[:, sizes].std(axis=0).max()
         start = values.copy()
         start[sizes] = draws.values[:, sizes].mean(axis=0)

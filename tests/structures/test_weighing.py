@@ -2,6 +2,7 @@
 mixture that adapts, noise and blur summed over grids. It shares the density with inference, and where it begins."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.render.raycast.state import BLUR, RADIUS, taps_of
-from derender.sampling.evidence import Evidence, draw_t, log_t
+from derender.sampling.evidence import draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures import weighing
 from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, climbed_higher, of_one_solid, quick_steps
@@ -198,7 +199,7 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
         rng, solid(BOX, (0.08,) * 3, cube=True), {"sigma": 0.01, "blur": 0.5}, camera(32, 24)
     )
     modes = [at_mode(rng, solid(BOX, (0.08,) * 3, cube=cube), floor_pose(), sensor, RULES) for cube in (True, False)]
-    first = of_block(rng, modes[1], [0], Block(modes[0], [0]))
+    first = of_block(rng, Block(modes[1], [0]), Block(modes[0], [0]))
     far = first._replace(odds=-20.0)
     draws = modes[0].values + 5e-4 * rng.standard_normal((20, len(modes[0].values)))
     again, same = made_sure(rng, modes[0], [first, far], lambda rng: draws, RULES)
@@ -207,25 +208,18 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
     assert abs(one_failed["odds"] + 1.03) < 0.05 and one_failed["error"] < 0.2
 
 
-def test_an_integral_that_failed_is_made_again(monkeypatch):
-    """One of 2.86 nats of error said that what was 2.6 nats less likely was 5.1 so, too far to be looked at closer."""
-    rng, cube = np.random.default_rng(11), solid(BOX, (0.08,) * 3, cube=True)
-    sensor, chart, values = observe(rng, cube, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
-    made = [Evidence(1.0, 2.86), Evidence(3.5, 0.1)]
-    monkeypatch.setattr(weighing, "log_evidence", lambda *given: made.pop(0))
-    found = weighing.evidence_over(rng, Refined(cube, chart, values, sensor, 0.0, 0.0), (0,))
-    assert found == Evidence(3.5, 0.1) and not made
-
-
-@pytest.mark.parametrize(("error", "places"), [(0.1, 4), (1.0, 12)])
-def test_odds_that_are_open_are_integrated_at_more_places(monkeypatch, error, places):
+@pytest.mark.parametrize(
+    ("odds", "error", "places"), [(-0.5, 0.1, 4), (-0.5, 0.4, 12), (-0.5, 1.0, 28), (-3.0, 1.0, 4)]
+)
+def test_odds_that_are_open_are_integrated_at_more_places(monkeypatch, odds, error, places):
+    """At first they are known to a nat, by which alone they are out of reach."""
     state = solid(BOX, (0.1,) * 3, cube=True)
     sensor, chart, values = observe(np.random.default_rng(1), state, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
     best, asked = Refined(state, chart, values, sensor, 0.0, 0.0), []
     monkeypatch.setattr(weighing, "integrals", lambda rng, best, places, draws: [None] * len(draws))
-    monkeypatch.setattr(weighing, "odds_at", lambda rng, **given: asked.append(given["values"][0]) or (-0.5, error))
-    draws = np.arange(50.0)[:, None] * np.ones(len(values))
-    made_sure(np.random.default_rng(2), best, [Weighed(best, 0.0, 1.0, ((0,), (0,)))], lambda rng: draws, RULES)
+    monkeypatch.setattr(weighing, "odds_at", lambda rng, **given: asked.append(given["values"][0]) or (odds, error))
+    draws = np.arange(200.0)[:, None] * np.ones(len(values))
+    made_sure(np.random.default_rng(2), best, [Weighed(best, -5.5, 1.0, ((0,), (0,)))], lambda rng: draws, RULES)
     assert len(set(asked)) == len(asked) == places
 
 
@@ -358,15 +352,17 @@ def test_a_blur_and_the_solids_that_give_way_to_it_are_fitted_together():
 
 
 def weighed(state, odds, error=0.1, places=((0,), (0,))):
-    return Weighed(Refined(state, None, np.zeros(0), None, 0.0, 0.0), odds, error, places)
+    return Weighed(Refined(state, None, np.zeros(0), SimpleNamespace(log_prior=float), 0.0, 0.0), odds, error, places)
 
 
 def test_a_structure_that_was_weighed_again_counts_by_its_surest_odds():
     box, can = solid(BOX, (0.08, 0.06, 0.05)), solid(CYLINDER, (0.06, 0.06, 0.08))
     assert [each.odds for each in surest_of_each([weighed(box, -3.1), weighed(can, -2.0), weighed(box, -3.0)])] == [
         -3.0, -2.0]  # fmt: skip
-    better = [weighed(box, -1.0), weighed(box, -3.0)]
-    assert surest(better).odds == -1.0, "the last was climbed to a worse mode"
+    lucky, last = weighed(box, -1.0), weighed(box, -3.0)
+    assert surest([lucky, last]).odds == -3.0, "the same mode: one integral of it is off"
+    better = lucky._replace(trial=lucky.trial._replace(log_likelihood=2.0))
+    assert surest([better, last]).odds == -1.0, "the last was climbed to a worse mode"
     assert surest([weighed(box, -3.0), weighed(box, -1.0, NEAR_ERROR)]).odds == -3.0, "looked at, not integrated"
     former = weighed(box, -2.9, places=None)
     assert surest([weighed(box, -3.0), former]).odds == -3.0, "weighed against another best"

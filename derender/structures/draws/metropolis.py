@@ -447,15 +447,12 @@ def side_by_side(rng: np.random.Generator, walkers: list[Walker], proposals: lis
     ])  # fmt: skip
 
 
-def log_evidence(
-    rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, drawn: list[Draws], members: list[int]
-) -> Evidence:
-    """Return the Evidence of the density over coordinates `members`, from the Draws of chains: see sampling.evidence.
+def log_evidence(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, draws: np.ndarray,
+                 members: list[int]) -> Evidence:  # fmt: skip
+    """Return the Evidence of the density over coordinates `members`, from draws (n, D) of it: see sampling.evidence.
 
     values : (D,) where the other coordinates are held.
     """
-    chosen = np.concatenate([draws.values[:, members] for draws in drawn])
-    densities = np.concatenate([draws.densities.sum(axis=1) for draws in drawn])
     engine, touched = engine_of(chart, sensor), touched_by(chart, members)
     load(engine, chart, values)
 
@@ -465,4 +462,4 @@ def log_evidence(
         evaluate(engine, chart, batch, touched, found)
         return found.sum(axis=1)
 
-    return evidence(rng, target, chosen, densities, len(chosen))
+    return evidence(rng, target, draws[:, members])

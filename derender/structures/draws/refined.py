@@ -42,7 +42,7 @@ HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where out
 # Pixels of the steps by which a blur is changed with the solids, and steps of the climb after each, for each solid.
 LONGEST_BLUR_STEP, LEAST_BLUR_STEP, FOLLOWED = 0.05, 0.01, 50
 STEPS, MOST_STEPS = 2, 125  # between two draws: for each coordinate, and at most
-BLUR_POINTS, GROUPS = 60, 8  # points at which blurs are summed over, and parts of them that tell the error
+BLUR_POINTS = 60  # at which blurs are summed over
 # Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.
 MOST_BACKGROUND = 0.1
 # By how many standard deviations of its noise a background, as it was seen, may be nearer; metres before the camera.
@@ -366,12 +366,12 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
         evaluate(views, chart, points, touched, found)
         return found
 
-    held, more = None, 0.0
+    held, more = -proposed, 0.0
     for view in sensor.views:  # given the scene each view's blur is its own
         views = engine_of(chart, view)
         load(views, chart, values)
         own = densities(views)
-        held = own[:, 0] - proposed + own[:, 1] if held is None else held + own[:, 1]
+        held = held + own[:, 1]
         nodes = blurs_about(view, model_depth(chart, values, view.camera, view.into))
         if len(nodes) == 1:  # it is known
             continue
@@ -379,12 +379,10 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
         each = [densities(under_blur(views, node))[:, 1] + log_prior_of(view.prior, {"blur": float(node)}) + step
                 for node in nodes]  # fmt: skip
         more = more + np.logaddexp.reduce(each, axis=0) - own[:, 1]
-    assert held is not None
-    open_ = held + more
-    log = float(np.logaddexp.reduce(open_) - np.logaddexp.reduce(held))
-    groups = np.array_split(np.arange(len(points)), min(GROUPS, len(points)))
-    apart = [np.logaddexp.reduce(open_[g]) - np.logaddexp.reduce(held[g]) for g in groups]
-    return Evidence(log, float(np.std(apart) / np.sqrt(len(groups))))
+    held = held + own[:, 0]
+    totals = [np.logaddexp.reduce(logs) for logs in (held, held + more)]
+    shares = np.exp(held - totals[0]), np.exp(held + more - totals[1])  # of each point in both
+    return Evidence(float(totals[1] - totals[0]), float(np.linalg.norm(shares[1] - shares[0])))
 
 
 def near_evidence(refined: Refined, solids: tuple[int, ...] | None = None) -> float:
