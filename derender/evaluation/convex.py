@@ -1,17 +1,13 @@
-"""Exact volumes of intersections of convex solids.
+"""Volumes of intersections of convex solids, points on their surfaces, and exact distances to those.
 
-A solid is a list of half-spaces n . x <= d. The intersection of two solids is the two lists together; Qhull finds its
-corners about the middle of the largest ball inside, and their volume. That is exact for boxes and convex polyhedra.
-
-Cylinders are prisms with 64 sides and spheres polyhedra with 256 faces, of the solid's own volume: their intersections
-are right to about half a percent (two spheres: exact).
-
-Also points on the surfaces of solids, and exact distances to those surfaces.
+A solid is the convex hull of its corners, and a list of half-spaces n . x <= d. The intersection of two is the two
+lists together; Qhull finds its corners about the middle of the largest ball inside, and their volume. That is exact for
+boxes and convex polyhedra. Round solids are polyhedra of their own volume, right to about half a percent.
 """
 
 from collections.abc import Mapping
 from functools import lru_cache
-from math import pi, sqrt, tan
+from math import pi, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -19,65 +15,71 @@ import numpy as np
 from derender.scene.shapes.kinds import CORNERS
 
 PRISM_SIDES = 64
-SPHERE_FACES = 256
+SPHERE_CORNERS = 256
 FLAT = 1e-7  # of the solids' extent: an intersection that holds no larger ball has no volume
 
 
-def half_spaces(solid: Mapping[str, Any]) -> np.ndarray:
-    """Return the half-spaces n . x <= d of a solid, in the frame of its pose.
+def corners_of(solid: Mapping[str, Any]) -> np.ndarray:
+    """Return the corners (V, 3) of a solid, metres, in the frame of its pose.
 
     solid : with `type`, `size` (3,) metres and `pose` (4, 4); `vertices` (V, 3) in object axes, if there, are those of
         its convex hull. A type without its own form here counts as its oriented box.
-
-    Returns (M, 4) float64, rows (n_x, n_y, n_z, d).
     """
-    size = np.asarray(solid["size"], float)
-    pose = np.asarray(solid["pose"], float)
-    rotation, centre = pose[:3, :3], pose[:3, 3]
+    size, pose = np.asarray(solid["size"], float), np.asarray(solid["pose"], float)
     if solid.get("vertices") is not None:
-        local = _hull_half_spaces(np.asarray(solid["vertices"], float))
-        normals, offsets = local[:, :3] @ rotation.T, local[:, 3]
+        local = np.asarray(solid["vertices"], float) @ pose[:3, :3].T
     elif solid["type"] == "sphere":
         # The same directions whatever the sphere's rotation, so that equal spheres are equal polyhedra.
-        normals = _fibonacci_sphere(SPHERE_FACES)
-        offsets = np.full(len(normals), 0.5 * size[0] * _sphere_scale())
+        local = 0.5 * size[0] * _sphere_corners()
     elif solid["type"] == "cylinder":
-        apothem = 0.5 * size[0] * sqrt(pi / (PRISM_SIDES * tan(pi / PRISM_SIDES)))
-        axis = rotation[:, 2]
+        axis = pose[:3, 2]
         # Seen from the camera, not from the object, for the same reason: its turn about z is not to be seen.
-        reference = np.eye(3)[0 if abs(axis[0]) < 0.9 else 1]
-        first = np.cross(axis, reference)
+        first = np.cross(axis, np.eye(3)[0 if abs(axis[0]) < 0.9 else 1])
         first /= np.linalg.norm(first)
         angle = 2 * pi * np.arange(PRISM_SIDES)[:, None] / PRISM_SIDES
-        sides = np.cos(angle) * first + np.sin(angle) * np.cross(axis, first)
-        normals = np.vstack([axis, -axis, sides])
-        offsets = np.r_[0.5 * size[2], 0.5 * size[2], np.full(PRISM_SIDES, apothem)]
+        radius = 0.5 * size[0] * sqrt(2 * pi / (PRISM_SIDES * sin(2 * pi / PRISM_SIDES)))
+        ring = radius * (np.cos(angle) * first + np.sin(angle) * np.cross(axis, first))
+        local = np.vstack([ring + 0.5 * size[2] * axis, ring - 0.5 * size[2] * axis])
     else:
-        normals = np.vstack([rotation.T, -rotation.T])
-        offsets = np.r_[0.5 * size, 0.5 * size]
-    return np.column_stack([normals, offsets + normals @ centre])
+        local = CORNERS * size @ pose[:3, :3].T
+    return local + pose[:3, 3]
+
+
+@lru_cache(maxsize=1)
+def _sphere_corners() -> np.ndarray:
+    """Return the corners of a polyhedron about the origin that has the volume of the unit ball."""
+    from scipy.spatial import ConvexHull
+
+    corners = _fibonacci_sphere(SPHERE_CORNERS)
+    return corners * (4 / 3 * pi / ConvexHull(corners).volume) ** (1 / 3)
 
 
 def volume_of(solid: Mapping[str, Any]) -> float:
     """Return the volume of a solid in cubic metres."""
-    size = np.asarray(solid["size"], float)
-    if solid.get("vertices") is not None:
-        centre = np.asarray(solid["pose"], float)[:3, 3]
-        return _convex_volume(half_spaces(solid), centre, _reach(solid))
-    factor = {"sphere": pi / 6, "cylinder": pi / 4}.get(solid["type"], 1.0)
-    return factor * float(np.prod(size))
+    from scipy.spatial import ConvexHull
+
+    return float(ConvexHull(corners_of(solid)).volume)
 
 
 def intersection_volume(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
     """Return the volume that two solids share, in cubic metres."""
-    centre_a, centre_b = (np.asarray(solid["pose"], float)[:3, 3] for solid in (a, b))
-    distance = float(np.linalg.norm(centre_a - centre_b))
-    reach_a, reach_b = _reach(a), _reach(b)
-    if distance >= reach_a + reach_b:
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+    corners = [corners_of(a), corners_of(b)]
+    centre = corners[0].mean(axis=0)
+    reach = float(np.linalg.norm(np.vstack(corners) - centre, axis=1).max())  # so that Qhull sees lengths of about one
+    if np.any(corners[0].max(axis=0) < corners[1].min(axis=0)) or np.any(
+        corners[1].max(axis=0) < corners[0].min(axis=0)
+    ):
         return 0.0
-    if a["type"] == b["type"] == "sphere":
-        return _lens_volume(0.5 * float(a["size"][0]), 0.5 * float(b["size"][0]), distance)
-    return _convex_volume(np.vstack([half_spaces(a), half_spaces(b)]), centre_a, reach_a + reach_b)
+    planes = np.vstack([ConvexHull((each - centre) / reach).equations for each in corners])  # n . x + c <= 0
+    bounds = [(None, None)] * 3 + [(0.0, None)]
+    ball = linprog([0.0, 0.0, 0.0, -1.0], np.column_stack([planes[:, :3], np.ones(len(planes))]), -planes[:, 3],
+                   bounds=bounds)  # fmt: skip
+    if not ball.success or ball.x[3] < FLAT:
+        return 0.0
+    return float(ConvexHull(HalfspaceIntersection(planes, ball.x[:3]).intersections).volume) * reach**3
 
 
 def intersection_over_union(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
@@ -85,57 +87,6 @@ def intersection_over_union(a: Mapping[str, Any], b: Mapping[str, Any]) -> float
     shared = intersection_volume(a, b)
     union = volume_of(a) + volume_of(b) - shared
     return min(1.0, shared / union) if union > 0 else 0.0
-
-
-def _reach(solid: Mapping[str, Any]) -> float:
-    """Return the radius of a ball about the solid's origin that holds it."""
-    if solid.get("vertices") is not None:
-        return float(np.linalg.norm(np.asarray(solid["vertices"], float), axis=1).max())
-    # The polyhedron that stands for a cylinder or sphere reaches a little beyond it.
-    return 0.51 * float(np.linalg.norm(np.asarray(solid["size"], float)))
-
-
-def _lens_volume(radius_a: float, radius_b: float, distance: float) -> float:
-    """Return the volume shared by two balls (closed form, two spherical caps)."""
-    if distance <= abs(radius_a - radius_b):
-        return 4 / 3 * pi * min(radius_a, radius_b) ** 3
-    if distance >= radius_a + radius_b:
-        return 0.0
-    total = radius_a + radius_b
-    return (
-        pi
-        * (total - distance) ** 2
-        * (distance**2 + 2 * distance * total - 3 * (radius_a - radius_b) ** 2)
-        / (12 * distance)
-    )
-
-
-@lru_cache(maxsize=1)
-def _sphere_scale() -> float:
-    """Return the distance of the faces at which the polyhedron has the volume of the unit ball."""
-    planes = np.column_stack([_fibonacci_sphere(SPHERE_FACES), np.ones(SPHERE_FACES)])
-    return (4 / 3 * pi / _convex_volume(planes, np.zeros(3), 1.0)) ** (1 / 3)
-
-
-def _hull_half_spaces(vertices: np.ndarray) -> np.ndarray:
-    from scipy.spatial import ConvexHull
-
-    equations = ConvexHull(vertices).equations
-    return np.column_stack([equations[:, :3], -equations[:, 3]])
-
-
-def _convex_volume(planes: np.ndarray, centre: np.ndarray, reach: float) -> float:
-    """Return the volume of the intersection of half-spaces (M, 4), n . x <= d, within a ball about a centre (3,)."""
-    from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull, HalfspaceIntersection
-
-    normals, offsets = planes[:, :3], (planes[:, 3] - planes[:, :3] @ centre) / reach
-    bounds = [(None, None)] * 3 + [(0.0, None)]
-    ball = linprog([0.0, 0.0, 0.0, -1.0], np.column_stack([normals, np.ones(len(planes))]), offsets, bounds=bounds)
-    if not ball.success or ball.x[3] < FLAT:
-        return 0.0
-    corners = HalfspaceIntersection(np.column_stack([normals, -offsets]), ball.x[:3]).intersections
-    return float(ConvexHull(corners).volume) * reach**3
 
 
 POINTS = 1000
