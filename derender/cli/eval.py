@@ -182,22 +182,21 @@ def _details(result: dict[str, Any]) -> Iterator[Any]:
         yield f"would fall: {', '.join(condition['fallen'])}"
 
 
+# What the totals are called, how many of a unit make one, and their digits after the point.
+TOTALS = {
+    "scenes": ("scenes", 1.0, 0), "f1@0.5": ("F1 @ 0.5", 1.0, 3), "f1@0.75": ("F1 @ 0.75", 1.0, 3),
+    "f1@0.9": ("F1 @ 0.9", 1.0, 3), "edge_f1": ("edge F1", 1.0, 3), "graph_exact": ("graphs exact", 1.0, 3),
+    "mask_f1": ("mask F1", 1.0, 3), "median_position": ("median position error, mm", 1000.0, 2),
+    "median_rotation": ("median rotation error, deg", 57.29577951308232, 2),
+    "median_add_s": ("median ADD-S, mm", 1000.0, 2), "median_size": ("median size error, mm", 1000.0, 2),
+    "floating": ("scenes with something floating", 1.0, 3), "intersecting": ("scenes that overlap themselves", 1.0, 3),
+    "stable": ("scenes that stand", 1.0, 3),
+}  # fmt: skip
+
+
 def _total_table(total: dict[str, Any]) -> str:
     """Return the totals, one line each, without those that there is nothing to say about."""
-    lines = []
-    for key, value in total.items():
-        if value is None:
-            continue
-        if key.startswith("median_"):
-            unit, scale = ("deg", 57.29577951308232) if key == "median_rotation" else ("mm", 1000.0)
-            words = {"median_add_s": "median ADD-S", "median_size": "median size error"}
-            words |= {"median_position": "median position error", "median_rotation": "median rotation error"}
-            lines.append((f"{words[key]}, {unit}", f"{value * scale:.2f}"))
-        elif key == "scenes":
-            lines.append((key, str(value)))
-        else:
-            words = {"floating": "scenes with something floating", "intersecting": "scenes that overlap themselves"}
-            words |= {"stable": "scenes that stand", "graph_exact": "graphs exact", "edge_f1": "edge F1"}
-            lines.append((words.get(key, key.replace("f1@", "F1 @ ").replace("mask_f1", "mask F1")), f"{value:.3f}"))
+    lines = [(words, f"{total[key] * scale:.{digits}f}") for key, (words, scale, digits) in TOTALS.items()
+             if total[key] is not None]  # fmt: skip
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name.ljust(width)}  {value:>8}" for name, value in lines)

@@ -1,6 +1,7 @@
 """What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -87,30 +88,27 @@ def read_source(path: str, seed: int) -> Source:
     """Read a scene, a prior (by its file or its name) or a folder written by `derender infer`."""
     import numpy as np
 
-    from derender.document import built_in_priors, read_document, read_prior_document
+    from derender.document import read_prior_document
     from derender.scene.priors.reading import is_drawn, with_drawn_matter
 
-    folder = Path(path)
-    if path != "-" and folder.is_dir():
+    if path != "-" and Path(path).is_dir():
         found = read_scene(path)
-        posterior = found.posterior
+        graph, camera, posterior = found.graph, found.camera, found.posterior
         if posterior is not None:
             uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
-            return Source(found.graph, found.camera, uncertain, posterior.each_graph, posterior.missed)
-        return Source(found.graph, found.camera, False, lambda rng, count: iter([found.graph] * count))
-    named = path in built_in_priors() and not folder.exists()
-    document = read_prior_document(path) if named else read_document(path)
-    prior = document.prior
-    if getattr(prior, "fixed", False):
+            return Source(graph, camera, uncertain, posterior.each_graph, posterior.missed)
+    else:
+        document = read_prior_document(path)
+        prior, camera = document.prior, document.camera
+        if not document.is_scene:
+
+            def drawn(rng: np.random.Generator, count: int) -> "Iterator[SceneGraph]":
+                return (with_drawn_matter(prior.sample(rng), rng) for _ in range(count))
+
+            return Source(next(drawn(np.random.default_rng(seed), 1)), camera, True, drawn)
         graph = document.graph
-        uncertain = any(is_drawn(vertex.options) for vertex in graph.vertices)
-        return Source(graph, document.camera, uncertain, lambda rng, count: iter([graph] * count))
-
-    def drawn(rng: np.random.Generator, count: int) -> "Iterator[SceneGraph]":
-        for _ in range(count):
-            yield with_drawn_matter(prior.sample(rng), rng)
-
-    return Source(next(drawn(np.random.default_rng(seed), 1)), document.camera, True, drawn)
+    uncertain = any(is_drawn(vertex.options) for vertex in graph.vertices)
+    return Source(graph, camera, uncertain, lambda rng, count: repeat(graph, count))
 
 
 def scene_paths(paths: "Sequence[str]") -> list[str]:

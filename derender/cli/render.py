@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
     from derender.document import Document
     from derender.scene.graph import SceneGraph
-    from derender.scene.solids import Solids
 
 PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".bmp", ".webp")
 PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
@@ -71,20 +70,27 @@ def command(
         derender render scene.yaml --sensor kinect -o - | derender infer -
         derender render results/*/scene.yaml -o images/
     """
+    from derender.camera.depth_file import write_depth
+    from derender.document import LikelihoodPrior
+    from derender.posterior.forward import observe
     from derender.render.renderers import find_renderer
 
     engine = find_renderer(renderer)
     targets = _targets(scenes, output, preview)
+    distort = _sensor(sensor) if sensor and not preview else None
     seeds = np.random.SeedSequence(seed).spawn(len(scenes))
     for scene, target, child in zip(scenes, targets, seeds, strict=True):
-        document = read_scene_document(scene)
-        graph = document.graph
-        eye = _camera(document, camera, depth_scale, talk)
+        document, rng = read_scene_document(scene), np.random.default_rng(child)
+        graph, eye = document.graph, _camera(document, camera, depth_scale, talk)
         if preview:
-            _write_picture(target, _picture(engine, graph.solids(), graph.solid_names, eye))
+            _write_picture(target, engine, graph, eye)
         else:
-            made = {"seed": seed, "command": options.command_line()}
-            _write_depth(target, engine, document, graph, eye, antialias, noise, sensor, child, made)
+            depth, label = engine.render_depth(graph.solids(), eye, antialias=antialias)
+            if noise:
+                depth = observe(rng, depth, document.likelihood or LikelihoodPrior())
+            if distort:
+                depth = distort(rng, depth)
+            write_depth(target, depth, eye, {"seed": seed, "command": options.command_line()}, label)
         if target != "-":
             talk.say(f"wrote {target}")
 
@@ -119,7 +125,7 @@ def _name(scene: str) -> str:
     return path.resolve().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
 
 
-def _camera(document: "Document", given: str | None, depth_scale: float | None, talk: Talk) -> "Camera | None":
+def _camera(document: "Document", given: str | None, depth_scale: float | None, talk: Talk) -> "Camera":
     """Return the camera: the one given, else the scene's, else a guess."""
     from dataclasses import replace
 
@@ -132,32 +138,6 @@ def _camera(document: "Document", given: str | None, depth_scale: float | None, 
         camera = Camera.from_field_of_view(WIDTH, HEIGHT)
         talk.say(f"no camera given: {WIDTH} x {HEIGHT} pixels and a field of view of 60 degrees (--camera)")
     return camera if depth_scale is None else replace(camera, depth_scale=depth_scale)
-
-
-def _write_depth(
-    target: str,
-    engine: Any,
-    document: "Document",
-    graph: "SceneGraph",
-    camera: Any,
-    antialias: int,
-    noise: bool,
-    sensor: str | None,
-    seeds: Any,
-    made: Any,
-) -> None:
-    from derender.camera.depth_file import write_depth
-    from derender.document import LikelihoodPrior
-    from derender.posterior.forward import observe
-
-    rng = np.random.default_rng(seeds)
-    distort = _sensor(sensor) if sensor else None
-    depth, label = engine.render_depth(graph.solids(), camera, antialias=antialias)
-    if noise:
-        depth = observe(rng, depth, document.likelihood or LikelihoodPrior())
-    if distort:
-        depth = distort(rng, depth)
-    write_depth(target, depth, camera, made, label)
 
 
 def _sensor(name: str) -> Callable[..., Any]:
@@ -173,19 +153,15 @@ def _sensor(name: str) -> Callable[..., Any]:
     return lambda rng, depth: observe(rng, depth, likelihood)
 
 
-def _picture(engine: Any, solids: "Solids", names: tuple[str, ...], camera: Any) -> np.ndarray:
-    """Return (height, width, 3) uint8, shaded from a renderer's depth."""
-    from derender.render.renderers.preview import draw_preview, enlarged
-    from derender.report.pictures import colours_of
-
-    camera = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width)))
-    return draw_preview(engine.render_depth, solids, camera, colours_of(solids, names))
-
-
-def _write_picture(target: str, picture: np.ndarray) -> None:
+def _write_picture(target: str, engine: Any, graph: "SceneGraph", camera: Any) -> None:
+    """Write a picture shaded from a renderer's depth."""
     import imageio.v3 as imageio
 
     from derender.atomic import atomic_path
+    from derender.render.renderers.preview import draw_preview, enlarged
+    from derender.report.pictures import colours_of
 
+    camera, solids = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width))), graph.solids()
+    picture = draw_preview(engine.render_depth, solids, camera, colours_of(solids, graph.solid_names))
     with atomic_path(target) as temporary:
         imageio.imwrite(temporary, picture)

@@ -249,8 +249,8 @@ def _lines(found: Any) -> Iterator[Any]:
         yield f"P(stable) = {found['p_stable']:.3f} ± {found['p_stable_error']:.3f} over {found['draws']} draws"
         yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())
     rows = [
-        [name, number_or_dash(_times(found["displacement"].get(name), 1000), ".1f"),
-         number_or_dash(_times(found["rotation"].get(name), 180 / np.pi), ".1f"),
+        [name, number_or_dash(1000 * found["displacement"].get(name, np.nan), ".1f"),
+         number_or_dash(np.degrees(found["rotation"].get(name, np.nan)), ".1f"),
          *([number_or_dash(share, ".3f"), number_or_dash(found["p_falls_error"][name], ".3f")]
            if found["draws"] > 1 else [])]
         for name, share in found["p_falls"].items()
@@ -268,10 +268,6 @@ def _lines(found: Any) -> Iterator[Any]:
 
 def _cell(value: object) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value or "")
-
-
-def _times(value: float | None, factor: float) -> float | None:
-    return None if value is None else value * factor
 
 
 def _check_names(animate: str | None, settle: str | None, output: str | None, many: bool) -> None:

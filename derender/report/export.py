@@ -102,8 +102,11 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
     The floor and every solid is a link, each on a joint from the world: fixed or floating. URDF knows boxes, spheres
     and cylinders; a mesh goes into an .obj beside the file. A plane is a thin box under it all.
     """
+    from derender.physics.bodies import matter_of_graph
+
     solids = graph.solids()
     up = upright_pose(graph)
+    masses = {body.name: body.weight_in_kg() for body in matter_of_graph(graph).bodies}
     robot = ElementTree.Element("robot", name=path.stem)
     ElementTree.SubElement(robot, "link", name="world")
     files: dict[str, bytes] = {path.name: b""}
@@ -119,7 +122,7 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
             pose[:3, 3] -= 0.5 * PLANE_THICKNESS * pose[:3, 2]
         link = ElementTree.SubElement(robot, "link", name=name)
         if not fixed:
-            _add_inertia(link, kind, size, graph.vertex(name).options)
+            _add_inertia(link, kind, size, masses[name])
         for role in ("visual", "collision"):
             part = ElementTree.SubElement(link, role)
             geometry = ElementTree.SubElement(part, "geometry")
@@ -156,12 +159,8 @@ def roll_pitch_yaw(pose: np.ndarray) -> tuple[float, float, float]:
     return float(roll), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
-def _add_inertia(link: Any, kind: int, size: np.ndarray, options: Any) -> None:
-    from derender.physics.bodies import DENSITY
-
+def _add_inertia(link: Any, kind: int, size: np.ndarray, mass: float) -> None:
     a, b, c = size
-    volume = float(np.prod(size)) * {kinds.SPHERE: np.pi / 6, kinds.CYLINDER: np.pi / 4}.get(kind, 1.0)
-    mass = options.get("mass") or volume * options.get("density", DENSITY)
     if kind == kinds.SPHERE:
         moments = np.full(3, mass * a * a / 10)
     elif kind == kinds.CYLINDER:
