@@ -45,6 +45,9 @@ HIDDEN = 0.05  # share of a thing's outline beyond which something nearer may hi
 HANDLE = 0.25  # share of a solid's pixels that its handle shows in at most
 SLENDER = 0.25  # of its height, how wide at most a thing is that could hardly stand on its end
 JOINT = 0.04  # share of a thing's outline along which a solid goes on that it is a part of
+# Of a free-form thing's pixels, and of its own outline: what shows so little beside it and meets it along so much is an
+# arm or a foot of it. What stands before something so much larger and touches it all along is rare.
+LITTLE, ALONG = 0.1, 1.0 / 3.0
 
 
 def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, float]]) -> tuple[State, list[Any]]:
@@ -71,7 +74,7 @@ def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, flo
         ):
             state, found = joined(seen, state, (part,), *masks[k])
             masks[k] = found[0]
-    while (pair := adrift(seen, state, masks, normal)) is not None:
+    while (pair := part_of_another(seen, state, masks, normal)) is not None:
         parts = tuple(k for k in pair if k < len(state))
         pieces = [masks[k - len(state)] for k in pair if k >= len(state)]
         masks = [each for k, each in enumerate(masks, start=len(state)) if k not in pair]
@@ -81,12 +84,13 @@ def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, flo
     return state, masks
 
 
-def adrift(
+def part_of_another(
     seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], normal: np.ndarray
 ) -> tuple[int, int] | None:
-    """Return what hangs in the air and what its surface goes on into without an edge; None where nothing does.
+    """Return what is a part of something else, and of what; None where nothing is.
 
-    A torso goes on into legs. Solids are told by their index, things by that of their masks after all solids.
+    That hangs in the air and goes on without an edge, as a torso does into legs, or is little beside a free-form thing
+    along which it lies. Solids are told by their index, things by that of their masks after all solids.
     """
     _, label, misfit, _ = held_out(seen.image, state, -1)
     piece = np.where((seen.image.weight > 0) & (misfit < LIMIT), label, -1)
@@ -95,17 +99,19 @@ def adrift(
     count = len(state) + len(masks)
     for k in range(count):
         mask = piece == k
-        if mask.sum() < FEWEST:
-            continue
-        if k < len(state) and (k in state.parents or shares_of_load(state.rows, k, HELD)):
-            continue
-        if not hangs(seen, state.without(k) if k < len(state) else state, mask):
+        if mask.sum() < FEWEST or k in state.parents:
             continue
         touched, turned = meets(seen.surface, piece, k, count, normal)
         touched[[j for j in state.parents if j != FLOOR]] = 0.0
         outline = sum((mask & ~np.roll(mask, way, axis)).sum() for axis in (0, 1) for way in (1, -1))
         other = int(np.argmax(touched))
-        if touched[other] > JOINT * outline and turned[other] > -TURN * touched[other]:
+        little = other >= len(state) and mask.sum() < LITTLE * (piece == other).sum()
+        if little and touched[other] > ALONG * outline:
+            return k, other
+        if k < len(state) and shares_of_load(state.rows, k, HELD):
+            continue
+        onward = touched[other] > JOINT * outline and turned[other] > -TURN * touched[other]
+        if onward and hangs(seen, state.without(k) if k < len(state) else state, mask):
             return k, other
     return None
 

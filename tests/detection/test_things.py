@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, TABLE, seen_on_the_table
 
-from derender.detection.compounds import adrift, falling, goes_on, hangs_on, held_by_another, neck, slope_of
+from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck, part_of_another, slope_of
 from derender.detection.estimate import point_estimate
 from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import swaps
@@ -180,7 +180,17 @@ def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_
         over = seen.points[..., 2] > tall + 0.002
         masks = [(seen.mask & over, 0.0), (seen.mask & ~over, 0.0)]
         assert min(mask.sum() for mask, _ in masks) > 50
-        assert adrift(seen, State(), masks, normal) == expected
+        assert part_of_another(seen, State(), masks, normal) == expected
+
+
+@pytest.mark.parametrize("share, expected", [(0.08, (0, 1)), (0.3, None)])
+def test_what_shows_little_beside_a_thing_along_which_it_lies_is_part_of_it(share, expected):
+    """A strip along the leg of a person was an object of its own."""
+    seen = observe(seen_on_the_table([(BOX, 0.0, 0.0, (0.2, 0.1, 0.2), None)]), CAMERA)
+    column = np.indices(seen.mask.shape)[1]
+    strip = seen.mask & (column < np.quantile(column[seen.mask], share))
+    normal = seen.surface.normals(seen.surface.good)
+    assert part_of_another(seen, State(), [(strip, 0.0), (seen.mask & ~strip, 0.0)], normal) == expected
 
 
 def test_a_box_is_likelier_than_a_free_form_and_a_bowl_is_none():
