@@ -4,8 +4,6 @@ They are looked for among what the main plane takes as background: level, with a
 one rises from it as from any floor. Lengths are those of a main plane that is seen from `USUAL` metres.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from derender.detection.floor import LEVEL, back_project
@@ -27,21 +25,11 @@ ROOM = 0.45
 STEP = 0.03  # metres over or under the main plane, at least: less may be its own bend, or a mat on it
 
 
-class Level(NamedTuple):
-    """A level plane, as it is first seen.
+def levels_of(seen: Observation) -> list[tuple[np.ndarray, float]]:
+    """Return [(normal, offset)] of the level planes among the background of a real sensor's image, the largest first.
 
-    normal, offset : of the plane in camera axes, towards the camera: normal . p = offset.
-    """
-
-    normal: np.ndarray
-    offset: float
-    mask: np.ndarray  # (h, w) bool, pixels of the reduced image that show it
-
-
-def levels_of(seen: Observation) -> list[Any]:
-    """Return the Levels among the background of an Observation of a real sensor's image, the largest first.
-
-    Pieces of one height are one plane, such as a table with things on it that cut it in two.
+    In camera axes, towards the camera: normal . p = offset. Pieces of one height are one plane, such as a table with
+    things on it that cut it in two.
     """
     good = seen.image.weight > 0
     candidate = seen.behind & good
@@ -50,7 +38,7 @@ def levels_of(seen: Observation) -> list[Any]:
     surface = seen.surface
     level = candidate & (surface.normals(candidate)[..., 2] > LEVEL)
     label, count = label_bodies(seen.points, level, TIGHT * surface.jump)
-    found: list[Level] = []
+    found: list[tuple[np.ndarray, float]] = []
     scale = seen.floor_scale
     pixels = np.bincount(label[label >= 0], minlength=count)
     points = back_project(np.where(good, seen.image.depth, np.nan), seen.camera)
@@ -73,7 +61,7 @@ def levels_of(seen: Observation) -> list[Any]:
         rise = float(seen.points[mask][:, 2].mean()) if mask.any() else 0.0
         rises = rise > -ROOM and abs(rise) > STEP * scale
         if across @ seen.floor.pose[:3, 2] > LEVEL and area > LEAST_AREA * scale**2 and rises:
-            found.append(Level(across, offset, mask))
+            found.append((across, offset))
             taken |= mask
     return found
 

@@ -31,10 +31,10 @@ def further_supports(seen: Observation, shape: tuple[int, int], look: Callable[.
     `plane`, a Support, that returns both.
     """
     found: list = []
-    for level in levels_of(seen):
+    for plane in levels_of(seen):
         explained = [~of_whole_image(each.behind, each, shape) for each in (seen, *(other for _, other in found))]
         try:
-            state, other = look(plane=Support(level.normal, level.offset, np.any(explained, axis=0)))
+            state, other = look(plane=Support(*plane, np.any(explained, axis=0)))
         except NoFloor:
             continue
         if not other.no_floor and (len(state) or other.things):
