@@ -111,7 +111,8 @@ def on_one_floor(
     hypotheses = all_hypotheses(surface, settings.shapes)
     for body in find_bodies(seen.points, seen.mask, seen.footprint):
         hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
-    masks: list = []
+    masks: list[Any] = []
+    clutter: list[Any] = []
     try:
         if settings.free_forms and seen.correlation > CORRELATED:
             first = first_search(rng, seen.image, hypotheses, settings)
@@ -128,7 +129,7 @@ def on_one_floor(
         masks += more
         if more and len(state):
             state = settle(rng, image, state, settings)
-        state, more = leftovers(rng, seen, state, settings)
+        state, more, clutter = leftovers(rng, seen, state, settings)
         masks += more
         if seen.correlation > CORRELATED:
             seen, state, masks = without_background(seen, state, masks)
@@ -136,7 +137,7 @@ def on_one_floor(
             state, masks = compounds(seen, state, masks)
     state.parents = final_parents(state)
     state = state.ordered()
-    seen, things = likely_things(seen, state, masks, settings)
+    seen, things = likely_things(seen, state, masks + clutter, settings)
     return state, seen._replace(things=tuple(things))
 
 

@@ -51,16 +51,19 @@ LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
 ROUNDS, YAWS, FINISHED = 200, 6, 3
 
 
-def leftovers(rng: np.random.Generator, seen: Observation, state: State, settings: Settings) -> tuple[State, list[Any]]:
-    """Return (State, [(mask, gain)]) with what is clearly over the support and not explained yet.
+def leftovers(
+    rng: np.random.Generator, seen: Observation, state: State, settings: Settings
+) -> tuple[State, list[Any], list[Any]]:
+    """Return (State, [(mask, gain)], [(mask, gain)]) with what is clearly over the support and not explained yet: first
+    objects, then what seems to be clutter.
 
     The image is changed as by `take_things`.
     """
     from scipy.ndimage import binary_erosion
 
-    image, found = seen.image, []
+    image, found, clutter = seen.image, [], []
     if settings.temper == 1.0 or not seen.mask.any():
-        return state, found
+        return state, found, clutter
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
     cost = cost_of(seen, settings.believed.loose.things)
@@ -81,27 +84,24 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
         exists = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
         part = None if exists else belongs_to(seen, state, mask)
         if exists and goes_on(seen.surface, mask, shows, cost.normal):
-            exists, part = False, goes_on_from(seen, state, mask)
-            if part is not None and share_over(seen.points[mask], state.rows[part]) <= BENEATH:
-                part = None
+            part = goes_on_from(seen, state, mask)
+            if part is None or share_over(seen.points[mask], state.rows[part]) <= BENEATH:
+                continue
         if part is not None:
             state, more = joined(seen, state, (part,), mask, gain)
             found += more
-        elif exists:
+            continue
+        if exists:
             with_it, gained = with_solid(rng, seen, state, mask, settings)
             cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers(mask))
-            if cheaper > 0.0 and (gained > settings.temper * LEFT_LEAST or shows_alike(seen, with_it, mask)):
+            shown = held_out(image, with_it, -1)[1] == len(with_it) - 1
+            alike = (shown & mask).sum() > SAME * (shown | mask).sum()
+            if cheaper > 0.0 and (alike or gained > settings.temper * LEFT_LEAST):
                 state = with_it
                 continue
-            found.append((mask, gain))
-            image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
-    return state, found
-
-
-def shows_alike(seen: Observation, state: State, mask: np.ndarray) -> bool:
-    """Return whether the last solid of a state shows in the pixels of a mask (H, W) and hardly elsewhere."""
-    shown = held_out(seen.image, state, -1)[1] == len(state) - 1
-    return bool((shown & mask).sum() > SAME * (shown | mask).sum())
+        (found if exists else clutter).append((mask, gain))
+        image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
+    return state, found, clutter
 
 
 def with_solid(

@@ -10,7 +10,7 @@ from table_scenes import CAMERA, TABLE, seen_on_the_table
 from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck, part_of_another, slope_of
 from derender.detection.estimate import point_estimate
 from derender.detection.freestanding import outstanding
-from derender.detection.leftovers import swaps
+from derender.detection.leftovers import leftovers, swaps
 from derender.detection.outline import foot_radius, vertical_axis
 from derender.detection.patches import APART, SeenSurface
 from derender.detection.search.greedy import Settings
@@ -20,7 +20,15 @@ from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.things import Cost, clear_of_edges, low_parts, made_thing, silhouette, without_background
+from derender.detection.things import (
+    Cost,
+    clear_of_edges,
+    likely_things,
+    low_parts,
+    made_thing,
+    silhouette,
+    without_background,
+)
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.bare_image import Things
@@ -304,6 +312,27 @@ def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
     told = np.array([existence.of(gain, 0.5) for gain in (0.0, 10.0, 27.0, 60.0, 1e4)])
     assert (np.diff(told[:, 0]) > 0.0).all() and told[-1, 0] <= 0.95
     assert told[2, 0] == pytest.approx(0.475) and told[2, 1] > told[-1, 1] > told[0, 1]
+
+
+def test_what_is_left_over_and_no_object_is_background():
+    """It was nothing, so that a solid was put there later, at full price: a monitor's foot was a flat box."""
+    seen = observe(seen_on_the_table([(BOX, 0.0, 0.0, (0.03, 0.03, 0.03), None)]), CAMERA)
+    settings = Settings(temper=60.0)  # so much of what neighbours share that the box is likelier clutter
+    state, found, clutter = leftovers(np.random.default_rng(0), seen, State(), settings)
+    assert len(state) == len(found) == 0
+    seen, things = likely_things(seen, state, clutter, settings)
+    assert not things and seen.behind[seen.mask].all()
+
+
+def test_what_is_left_over_is_an_object_by_all_that_it_goes_on_into():
+    """Of a torch on a bin's rough floor only a ridge was clearly over it, too little for an object."""
+    image = seen_on_the_table([(BOX, 0.0, 0.0, (0.03, 0.03, 0.03), None), (BOX, 0.075, 0.0, (0.12, 0.03, 0.01), None)])
+    seen = observe(image, CAMERA)
+    seen = seen._replace(correlation=0.9, mask=seen.mask & (seen.points[..., 2] > 0.012))
+    settings = Settings(temper=60.0)
+    state, found, clutter = leftovers(np.random.default_rng(0), seen, State(), settings)
+    assert len(state) == len(found) == 0 and len(clutter) == 1
+    assert len(likely_things(seen, state, clutter, settings)[1]) == 1
 
 
 def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
