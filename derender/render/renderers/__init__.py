@@ -9,26 +9,16 @@ into the solids or -1. Each is imported when it is first asked for.
 """
 
 import importlib
-from importlib.metadata import entry_points
 from typing import Any
 
 from derender.errors import DerenderError
 from derender.registry import suggest
 
 RENDERERS = {"raycast": "derender.render.raycast.depth", "pyrender": "derender.render.renderers.opengl"}
-ENTRY_POINT_GROUP = "derender.renderers"
-
-
-def renderer_names() -> list[str]:
-    """Return the names of all renderers, other packages' included."""
-    return sorted({*RENDERERS, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))})
 
 
 def find_renderer(name: str) -> Any:
     """Import and return a renderer by name. Raises DerenderError : no renderer of that name; says which there are."""
-    if name in RENDERERS:
-        return importlib.import_module(RENDERERS[name])
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        if point.name == name:
-            return point.load()
-    raise DerenderError(f"no renderer is called {name!r}", remedy=suggest(name, renderer_names()))
+    if name not in RENDERERS:
+        raise DerenderError(f"no renderer is called {name!r}", remedy=suggest(name, RENDERERS))
+    return importlib.import_module(RENDERERS[name])
