@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.atomic import make_folder
-from derender.camera.depth_file import read_depth
+from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.structures.options import Options
@@ -87,7 +87,8 @@ def track_to_folder(
     Raises DerenderError : whatever is wrong with the frames, the camera or the folder.
     """
     started = time.monotonic()
-    film = first_of(sources, camera, depth_scale, fps) if watch else read_film(sources, camera, depth_scale, fps)
+    coming = watched(sources, camera, depth_scale)
+    film = first_of(coming, sources, camera, fps) if watch else read_film(sources, camera, depth_scale, fps)
     if film.camera_is_guess:
         warn(f"no camera is given: taking {film.camera.field_of_view:.0f} degrees horizontal field of view")
     if film.fps_is_guess:
@@ -100,10 +101,11 @@ def track_to_folder(
         start = start_from(inferrer(options, film.camera)(film.frames[0], False), np.random.default_rng(options.seed))
         recorder = Recorder(film.frames[0], film.camera, start, film.gravity, step_of(film), moving_camera,
                             lambda depth: inferrer(options, film.camera)(depth, True))  # fmt: skip
-        for depth in watched(sources, camera, depth_scale, film):
-            if not recorder.advance(depth):
+        for path, seen in coming:
+            check_size(seen.depth, film.frames[0], path)
+            if not recorder.advance(seen.depth):
                 break
-            frames.append(depth)
+            frames.append(seen.depth)
             names.append(f"frame {len(names)}")
             told = tell_events(recorder.track(times_of(film, len(frames))), told, tell, LAG)
         track = recorder.track(times_of(film, len(frames)), names)
@@ -166,39 +168,31 @@ def tell_events(track: Track, told: int, tell: Any, lag: int) -> int:
     return max(told, len(sure))
 
 
-def first_of(sources: Any, camera: Any, depth_scale: Any, fps: Any) -> Film:
+def first_of(coming: Iterator[tuple[Path, DepthImage]], sources: Any, camera: Any, fps: Any) -> Film:
     """Wait for the first frame of a folder that grows, and return a film of it."""
-    waited = 0.0
-    while not (files := frame_files(sources)):
-        if waited > PATIENCE:
-            raise DerenderError("no frame came", ", ".join(map(str, sources)), "name the folder that frames come into")
-        time.sleep(POLL)
-        waited += POLL
-    camera = camera_of(sources, camera)
-    timing = read_timing(camera)
-    seen = patiently(files[0], camera, depth_scale)
+    path, seen = next(coming, (None, None))
+    if path is None or seen is None:
+        raise DerenderError("no frame came", ", ".join(map(str, sources)), "name the folder that frames come into")
+    timing = read_timing(camera_of(sources, camera))
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
     times = np.arange(2) / (rate or FPS)
-    return Film([files[0].name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None)
+    return Film([path.name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None)
 
 
-def watched(sources: Any, camera: Any, depth_scale: Any, film: Film) -> Iterator[np.ndarray]:
-    """Yield the frames after the first as they come, until none has come for some time."""
-    camera = camera_of(sources, camera)
-    taken, last = {film.names[0]}, time.monotonic()
+def watched(sources: Any, camera: Any, depth_scale: Any) -> Iterator[tuple[Path, DepthImage]]:
+    """Yield the frames of a folder that grows as they come, until none has come for some time."""
+    taken, last = set[Path](), time.monotonic()
     while time.monotonic() - last < PATIENCE:
-        fresh = [path for path in frame_files(sources) if path.name not in taken]
+        fresh = [path for path in frame_files(sources) if path not in taken]
         for path in fresh:
-            depth = patiently(path, camera, depth_scale).depth
-            check_size(depth, film.frames[0], path)
-            taken.add(path.name)
-            yield depth
+            yield path, patiently(path, camera_of(sources, camera), depth_scale)
+            taken.add(path)
             last = time.monotonic()
         if not fresh:
             time.sleep(POLL)
 
 
-def patiently(path: Path, camera: Camera, depth_scale: Any) -> Any:
+def patiently(path: Path, camera: Any, depth_scale: Any) -> DepthImage:
     """Read a frame that may still be being written: what fails is tried again a few times."""
     for _ in range(5):
         try:
