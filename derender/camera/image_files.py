@@ -146,8 +146,6 @@ SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
 MOST_BYTES = 2**30
 LEVEL = 4  # of compression: half the time of the usual 6 for files a sixth larger
 RAW = "give the raw depth image: one channel of 16-bit units or float metres, no picture to look at"
-# A picture is taken for a colourised one where most of its pixels that are not dark have vivid colours.
-DARK, VIVID, MOSTLY = 30, 0.6, 0.9  # of 255; share of the brightest channel that the darkest is below; of the pixels
 STRETCHED, FEW_STEPS = 257, 8  # 8 bits become 16 by it; different depths that an image has at least
 ORIENTATION, TURNS_OF = 274, {1: 0, 3: 180, 6: 90, 8: 270}  # a tag of EXIF; degrees clockwise to turn it upright
 SATURATED = 65535  # the largest 16-bit number: farther than the image can tell, or no return at all
@@ -242,20 +240,6 @@ def decode_npz(data: bytes) -> Decoded:
     return Decoded(array, camera, meta if isinstance(meta, dict) else {})
 
 
-def _colour_words(picture: Any) -> str:
-    """Return what a picture of several channels seems to be, before it is refused."""
-    what = f"this is a colour image ({picture.mode})"
-    if picture.mode not in ("RGB", "RGBA"):
-        return what
-    small = np.asarray(picture.convert("RGB").resize((64, 48)), int)
-    away = small.max(axis=-1) - small.min(axis=-1)
-    if away.max() == 0:
-        return f"this is a grey picture of 8 bits in a colour image ({picture.mode})"
-    lit = small.max(axis=-1) > DARK
-    vivid = bool(lit.any()) and float(np.mean(away[lit] > VIVID * small.max(axis=-1)[lit])) > MOSTLY
-    return f"{what}, of colours that stand for depth as it seems" if vivid else what
-
-
 def _decode_picture(data: bytes) -> Decoded:
     """Decode a .png or .tiff; what its mode says about depth is checked before a pixel is read."""
     import warnings
@@ -276,7 +260,7 @@ def _decode_picture(data: bytes) -> Decoded:
         if picture.mode in ("1", "L", "P"):
             raise DerenderError("8 bits a pixel are too coarse for depth", remedy=RAW)
         if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
-            raise DerenderError(_colour_words(picture), remedy=RAW)
+            raise DerenderError(f"this is a colour image ({picture.mode})", remedy=RAW)
         pages = getattr(picture, "n_frames", 1)
         if pages > 1:
             raise DerenderError(f"the picture has {pages} pages", remedy="save the one that holds the depth by itself")

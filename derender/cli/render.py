@@ -71,7 +71,6 @@ def command(
         derender render results/*/scene.yaml -o images/
     """
     from derender.camera.depth_file import write_depth
-    from derender.document import LikelihoodPrior
     from derender.posterior.forward import observe
     from derender.render.renderers import find_renderer
 
@@ -87,7 +86,7 @@ def command(
         else:
             depth, label = engine.render_depth(graph.solids(), eye, antialias=antialias)
             if noise:
-                depth = observe(rng, depth, document.likelihood or LikelihoodPrior())
+                depth = observe(rng, depth, document.likelihood)
             if distort:
                 depth = distort(rng, depth)
             write_depth(target, depth, eye, {"seed": seed, "command": options.command_line()}, label)

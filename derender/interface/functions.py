@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
-from derender.document import Document, LikelihoodPrior, read_document, read_prior_document
+from derender.document import Document, read_document, read_prior_document
 from derender.errors import DerenderError
 from derender.interface.posterior import Posterior
 from derender.interface.scene import HEIGHT, WIDTH, Scene
@@ -87,7 +87,7 @@ def render(
     camera = camera or scene.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
     depth, _ = find_renderer(renderer).render_depth(scene.graph.solids(), camera)
     if noise:
-        depth = observe(np.random.default_rng(seed), depth, scene.likelihood or LikelihoodPrior())
+        depth = observe(np.random.default_rng(seed), depth, scene.likelihood)
     return DepthImage(depth, camera)
 
 

@@ -211,8 +211,9 @@ def export_bop(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
         }
     files = {path.name: json.dumps({"0": entries}, indent=1), "models_info.json": json.dumps(models, indent=1)}
     if camera is not None:
-        matrix = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
-        files["scene_camera.json"] = json.dumps({"0": {"cam_K": matrix, "depth_scale": camera.depth_scale}}, indent=1)
+        files["scene_camera.json"] = json.dumps(
+            {"0": {"cam_K": camera.matrix.ravel().tolist(), "depth_scale": camera.depth_scale}}, indent=1
+        )
     return {name: (text + "\n").encode() for name, text in files.items()}
 
 
@@ -347,8 +348,7 @@ def write_rrd(path: str | Path, graph: SceneGraph, posterior: Posterior | None =
         stream.save(temporary)
         stream.log("world", rerun.ViewCoordinates.RDF, static=True)
         if camera is not None:
-            matrix = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-            seen = rerun.Pinhole(image_from_camera=matrix, width=camera.width, height=camera.height)
+            seen = rerun.Pinhole(image_from_camera=camera.matrix, width=camera.width, height=camera.height)
             stream.log("world/camera", seen, static=True)
         if image is not None:
             depth = rerun.DepthImage(np.nan_to_num(image).astype(np.float32), meter=1.0)

@@ -131,11 +131,6 @@ def colourised():
     return (255 * np.clip(np.stack([hue - 1.5, 2.0 - abs(hue - 2.0), 2.5 - hue], axis=-1), 0.0, 1.0)).astype(np.uint8)
 
 
-def photograph():
-    """Return a picture (48, 64, 3) of dull colours."""
-    return np.random.default_rng(0).integers(90, 160, (48, 64, 3)).astype(np.uint8)
-
-
 FAULTS = {
     "missing": (lambda path: None, "No such file"),
     "a folder": (lambda path: path.mkdir(), "Is a directory"),
@@ -156,15 +151,7 @@ FAULTS = {
     ),
     "colourised": (
         lambda path: Image.fromarray(colourised()).save(path, "PNG"),
-        "colours that stand for depth as it seems; give the raw depth image",
-    ),
-    "photograph": (
-        lambda path: Image.fromarray(photograph()).save(path, "PNG"),
-        r"a colour image \(RGB\); give the raw",
-    ),
-    "grey in colour": (
-        lambda path: Image.fromarray(np.repeat(photograph()[..., :1], 3, axis=2)).save(path, "PNG"),
-        "a grey picture of 8 bits in a colour image",
+        r"a colour image \(RGB\); give the raw depth image: one channel .* no picture to look at",
     ),
     "stretched": (
         lambda path: save(path, np.arange(48, dtype=np.uint16).reshape(6, 8) * 257),
