@@ -185,8 +185,11 @@ def intervals(drawn, graph, name, seen):
         rank = float(np.mean(values < true))
         entries.append([kind, bool(low <= true <= high), rank, float(high - low), hidden])
 
+    sizes = np.array([s for _, s in drawn])
     for axis in range(3):
-        add("size", [s[axis] for _, s in drawn], size[axis], bool(seen[axis] <= 1.0 - HIDDEN))
+        same = [k for k in range(3) if size[k] == size[axis] and np.all(sizes[:, k] == sizes[:, axis])]
+        if axis == same[0]:  # the side of a cube is one number: three times over one that is missed was three misses
+            add("size", sizes[:, axis], size[axis], bool(np.all(seen[same] <= 1.0 - HIDDEN)))
     # the place along the object's own axes: the one that is hidden is as uncertain as the side is
     for axis in range(3):
         along = true_rotation[:, axis]
