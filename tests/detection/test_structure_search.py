@@ -15,13 +15,13 @@ from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.proposals import Hypothesis
 from derender.detection.search.searches import Climb, crossed, explain_otherwise, explain_rest, parts
 from derender.detection.solids.image import FAR, draw, make_image, make_row
-from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, penetration_beyond
 from derender.detection.solids.misfit import added_misfit, misfit_map
 from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.evaluation.convex import intersection_volume
-from derender.scene.pose import random_rotation, rotation_z
+from derender.scene.pose import random_rotation, rotation_x, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.infer import infer_structure, settings_of
 from derender.structures.options import Options
@@ -72,6 +72,28 @@ def test_penetration_is_how_far_two_boxes_must_move_apart(rng):
         overlap = rng.uniform(0.001, 0.03)
         second[10:13] += first[1:10].reshape(3, 3)[:, axis] * (first[13 + axis] - overlap)
         assert penetration(first, second) == pytest.approx(overlap, abs=1e-9)
+
+
+@pytest.mark.parametrize("kinds", [(BOX, BOX), (CYLINDER, BOX), (SPHERE, CYLINDER)])
+def test_upright_solids_and_depths_that_are_enough_are_told_by_fewer_axes(rng, kinds):
+    """Two upright ones overlap as two that lean by a hair do, of which all axes are tried; and what is deeper than
+    enough is as deep as it is.
+    """
+    hair, deep = rotation_x(1e-9)[:3, :3], 0
+    for _ in range(100):
+        first, second = (random_row(rng, kind) for kind in kinds)
+        for row in (first, second):
+            row[1:10] = rotation_z(rng.uniform(-np.pi, np.pi))[:3, :3].ravel()
+        leaning = first.copy()
+        leaning[1:10] = (hair @ first[1:10].reshape(3, 3)).ravel()
+        depth = penetration(first, second)
+        assert (depth > 0.0) == (penetration(leaning, second) > 0.0)
+        if depth > 0.0:
+            assert depth == pytest.approx(penetration(leaning, second), abs=1e-8)
+            assert penetration_beyond(first, second, 0.5 * depth) == depth
+            assert penetration_beyond(first, second, 1.5 * depth) <= 1.5 * depth
+            deep += 1
+    assert deep > 20
 
 
 def test_a_gap_is_never_more_than_the_distance_and_across_faces_all_of_it(rng):

@@ -53,11 +53,14 @@ def clamp_direction(box, x, y, z):
 
 
 @njit(cache=True, nogil=True, borrows=True)
-def penetration(p, q, enough=0.0):
-    """Return the depth in metres by which two solids overlap; negative: a lower bound of minus their distance.
+def penetration(p, q):
+    """Return the depth in metres by which two solids overlap; negative: a lower bound of minus their distance."""
+    return penetration_beyond(p, q, 0.0)
 
-    enough : a depth up to which it is all the same how deep: found along one axis, no other is tried.
-    """
+
+@njit(cache=True, nogil=True, borrows=True)
+def penetration_beyond(p, q, enough):
+    """As `penetration`, but no more than that it is not deeper than `enough` where one axis tells that."""
     dx, dy, dz = q[10] - p[10], q[11] - p[11], q[12] - p[12]
     far = 0.25 * ((np.sqrt(p[13] ** 2 + p[14] ** 2 + p[15] ** 2) + np.sqrt(q[13] ** 2 + q[14] ** 2 + q[15] ** 2)) ** 2)
     if dx * dx + dy * dy + dz * dz > far:

@@ -9,7 +9,7 @@ steps are tried, not computed; one try costs the pixels of the solid's rectangle
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.interpenetration import highest, lowest, penetration
+from derender.detection.solids.interpenetration import highest, lowest, penetration_beyond
 from derender.detection.solids.misfit import added_misfit
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
@@ -61,7 +61,7 @@ def resting_energy(row, low, others, skip, bottom, slack):
         total += 0.5 * ((low + slack) / slack) ** 2
     for k in range(others.shape[0]):
         if k != skip:
-            depth = penetration(row, others[k])
+            depth = penetration_beyond(row, others[k], slack)
             if depth > slack:
                 total += 0.5 * ((depth - slack) / slack) ** 2
     return total

@@ -22,7 +22,14 @@ from derender.detection.solids.beliefs import (
     log_density_at,
 )
 from derender.detection.solids.image import ROW
-from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, reach
+from derender.detection.solids.interpenetration import (
+    gap_between,
+    highest,
+    lowest,
+    penetration,
+    penetration_beyond,
+    reach,
+)
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import TOUCHING, flat_top, shadows_overlap
@@ -381,7 +388,7 @@ def log_prior_about(chart, rows, touched):
                 total -= 0.5 * (low / chart.sunk + 1.0) ** 2
         for j in range(k):
             if touched[k + 1] or touched[j + 1]:
-                depth = penetration(rows[k], rows[j], chart.overlap)
+                depth = penetration_beyond(rows[k], rows[j], chart.overlap)
                 if depth > chart.overlap:
                     total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
     return total
