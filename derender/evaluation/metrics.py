@@ -235,33 +235,24 @@ def compare_scenes(
     }
 
 
-def mask_f1(
-    predicted: np.ndarray,
-    truth: np.ndarray,
-    threshold: float = 0.5,
-    background: Collection[int] = (0,),
-    ignore: np.ndarray | None = None,
-) -> dict[str, Any]:
-    """Compare label images: F1 of the objects whose masks overlap (intersection over union) at least `threshold`.
+def mask_f1(predicted: np.ndarray, truth: np.ndarray, background: Collection[int] = (0,)) -> dict[str, Any]:
+    """Compare label images: F1 of the objects whose masks overlap (intersection over union) by half at least.
 
     predicted, truth : (height, width) int, one number for each object, -1 of nothing predicted.
     background : true labels that are no object (nothing, the table).
-    ignore : (height, width) bool, pixels that count for neither (say, without a return).
 
     Returns hits, predicted, truth, precision, recall, f1, `pairs` {predicted label: true label}, `iou` (of each pair).
     """
     if predicted.shape != truth.shape:
         raise ValueError(f"label images of {predicted.shape} and {truth.shape} pixels cannot be compared")
-    keep = np.ones(truth.shape, bool) if ignore is None else ~ignore
-    said = [label for label in np.unique(predicted[keep]) if label != -1]
-    true = [label for label in np.unique(truth[keep]) if label not in background]
+    said = [label for label in np.unique(predicted) if label != -1]
+    true = [label for label in np.unique(truth) if label not in background]
     overlap = np.zeros((len(said), len(true)))
     for i, a in enumerate(said):
-        mask = (predicted == a) & keep
         for j, b in enumerate(true):
-            other = (truth == b) & keep
+            mask, other = predicted == a, truth == b
             overlap[i, j] = np.count_nonzero(mask & other) / np.count_nonzero(mask | other)
-    pairs = assign(overlap, threshold)
+    pairs = assign(overlap, 0.5)
     return _rates(len(pairs), len(said), len(true)) | {
         "pairs": {int(said[i]): int(true[j]) for i, j in pairs},
         "iou": {int(said[i]): float(overlap[i, j]) for i, j in pairs},

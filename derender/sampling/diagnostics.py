@@ -14,15 +14,12 @@ import numpy as np
 
 def r_hat(draws: np.ndarray) -> float:
     """Return the rank-normalised split R-hat, the larger of bulk and folded. One chain has none: nan."""
-    if not _usable(draws) or len(draws) < 2:
-        return np.nan
-    halves = _split(draws)
-    return _bulk_and_folded(halves, _rank_normalise(halves))
+    return r_hat_and_ess(draws)[0]
 
 
 def bulk_ess(draws: np.ndarray) -> float:
     """Return the effective sample size in the bulk: that of the rank-normalised split chains."""
-    return _effective_sample_size(_rank_normalise(_split(draws))) if _usable(draws) else np.nan
+    return r_hat_and_ess(draws)[1]
 
 
 def r_hat_and_ess(draws: np.ndarray) -> tuple[float, float]:
@@ -30,13 +27,8 @@ def r_hat_and_ess(draws: np.ndarray) -> tuple[float, float]:
     if not _usable(draws):
         return np.nan, np.nan
     halves = _split(draws)
-    ranks = _rank_normalise(halves)
-    return _bulk_and_folded(halves, ranks) if len(draws) > 1 else np.nan, _effective_sample_size(ranks)
-
-
-def _bulk_and_folded(halves: np.ndarray, ranks: np.ndarray) -> float:
-    folded = np.abs(halves - np.median(halves))
-    return max(_r_hat(ranks), _r_hat(_rank_normalise(folded)))
+    ranks, folded = _rank_normalise(halves), _rank_normalise(np.abs(halves - np.median(halves)))
+    return max(_r_hat(ranks), _r_hat(folded)) if len(draws) > 1 else np.nan, _effective_sample_size(ranks)
 
 
 def tail_ess(draws: np.ndarray) -> float:

@@ -51,7 +51,7 @@ class Options:
     chains: int | None = None
     draws: int | None = None
     warmup: int | None = None
-    jobs: int | None = None  # processes of chains over structures
+    jobs: int | None = None  # chains that walk side by side
     folder: Path | None = None
     resume: bool = False
     shapes: Sequence[str] | None = None  # names of the shapes to look for; None: all

@@ -213,10 +213,6 @@ def test_mask_f1():
     result = mask_f1(said, truth, background=(0, 1))
     assert result["pairs"] == {7: 2, 8: 3}
     assert result["iou"] == {7: 1.0, 8: 0.5}
-    assert mask_f1(said, truth, threshold=0.51, background=(0, 1))["f1"] == pytest.approx(0.5)
     assert mask_f1(said, truth, background=(0,))["recall"] == pytest.approx(2 / 3)
-    unseen = np.zeros((10, 20), bool)
-    unseen[:, 12:14] = True
-    assert mask_f1(said, truth, background=(0, 1), ignore=unseen)["iou"][8] == 1
     with pytest.raises(ValueError, match="cannot be compared"):
         mask_f1(said[:5], truth)
