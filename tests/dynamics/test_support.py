@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from derender.dynamics.motion import motion_of
+from derender.dynamics.engine import Engine, Scales
+from derender.dynamics.motion import HELD_WITHIN, SAME_FRAMES, motion_of
+from derender.dynamics.parameters import Parameters, read_dynamics_prior
+from derender.dynamics.shooting import Shooting
 from derender.dynamics.states import from_poses, moved, to_poses
 from derender.dynamics.support import flush, plane_under, ways_of
 from derender.physics.bodies import Body, Matter
@@ -84,4 +87,12 @@ def test_a_held_pose_counts_twice_and_not_once_a_frame():
     assert np.linalg.eigvalsh(noise).min() > 0
     correlation = motion.noise(0)[:, 0, :, 0] / 1e-6
     np.testing.assert_allclose(np.diag(correlation), 1.0)
-    assert correlation[3, 4] > 0.6 > correlation[0, 1]  # held poses err alike, those four pixels apart less
+    assert correlation[3, 4] > 0.98  # held poses err alike, those four pixels apart for two frames
+    np.testing.assert_allclose(correlation[0, :4], np.exp(-np.arange(4) / SAME_FRAMES))
+    parameters = Parameters(("box",), np.ones(1), read_dynamics_prior())
+    shooting = Shooting(motion, parameters, Engine(motion.matter, motion.names, motion.step))
+    factor = shooting.errors(shooting.first_path(parameters.middle()), Scales(0.1, 0.1, 0.1, 0.1)).factors[0]
+    covariance = (factor @ factor.T).reshape(5, 6, 5, 6)[:, 0, :, 0]
+    # a box that was struck and is held where it was has moved by less than a millimetre, and not by nothing
+    apart = covariance[3, 3] + covariance[4, 4] - 2 * covariance[3, 4]
+    assert HELD_WITHIN**2 < apart
