@@ -14,9 +14,9 @@ import numpy as np
 from real_frames import real_folder
 
 from derender.physics.bodies import Body, Matter
-from derender.physics.intervention import Push, intervention
+from derender.physics.intervention import Disturbance, Push, intervention
 from derender.physics.outcome import simulate_scene
-from derender.physics.simulate import Rollout, judge, simulate
+from derender.physics.simulate import judge, simulate
 from derender.physics.statics import Equilibrium
 from derender.scene.pose import quaternion, rotation_z, translation
 
@@ -215,16 +215,16 @@ def report_pushes():
     errors, lifts, stops = [], [], []
     for friction in (0.2, 0.3, 0.5, 0.8):
         cube = box("a", [0.1] * 3, translation(0, 0, 0.05), friction=friction)
-        run = Rollout(scene(cube))
         low, high = 0.8, 1.2
         while high - low > 0.005:
             share = 0.5 * (low + high)
             force = np.array([share * friction * 0.5 * 9.81, 0, 0])
-            slid = run([1.0], pushes=[Push("a", force, 0.0, 1.0)])[0, 0, 0, 3] > 0.002
+            pushed = simulate(scene(cube), 1.0, disturbance=Disturbance((Push("a", force, 0.0, 1.0),)))
+            slid = pushed.poses[-1, 0, 0, 3] > 0.002
             low, high = (low, share) if slid else (share, high)
         errors.append(abs(0.5 * (low + high) - 1))
         for speed in (0.5, 1.0, 2.0):
-            poses = run(np.arange(0, 1.5, 0.005), velocity={"a": (speed, 0, 0)})
+            poses = simulate(scene(cube._replace(velocity=(speed, 0.0, 0.0))), 1.5, 200).poses
             lifts.append(np.abs(poses[:, 0, 2, 3] - 0.05).max())
             ideal = speed**2 / (2 * friction * 9.81)
             stops.append(abs(poses[-1, 0, 0, 3] - ideal) / ideal if speed < 2 or friction > 0.2 else 0.0)

@@ -149,7 +149,6 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         self._set_materials()
         self._set_impedance()
-        self._keep = keep_contacts
         if keep_contacts:
             self._rest_as_they_are()
         self._start()
@@ -174,12 +173,6 @@ class World:
         length = self.units.length
         pairs = product(self._geoms_of[first], self._geoms_of[second])
         return length * min(self._distance(a, b, limit / length) for a, b in pairs)
-
-    def poses(self) -> np.ndarray:
-        """Return where the bodies are now, (N, 4, 4) float64, body to the frame of the scene."""
-        poses = np.array([body.pose for body in self.matter.bodies], dtype=float).reshape(-1, 4, 4)
-        poses[self.moving] = self.moving_poses()
-        return poses
 
     def moving_poses(self) -> np.ndarray:
         """Return where the bodies that can move are now, (M, 4, 4) float64."""
@@ -207,25 +200,10 @@ class World:
         for name, force in forces.items():
             self.data.xfrc_applied[self._number_of(name), :3] = np.asarray(force) * newton
 
-    def reset(
-        self,
-        poses: np.ndarray | None = None,
-        velocity: np.ndarray | None = None,
-        angular_velocity: np.ndarray | None = None,
-    ) -> None:
-        """Begin anew: poses (M, 4, 4) and velocities (M, 3), m / s and rad / s, of the moving bodies.
-
-        What is not given is as the scene says. With kept contacts, they rest at the distances of these poses.
-        """
+    def reset(self) -> None:
+        """Begin anew, as the scene says."""
         mujoco.mj_resetData(self.model, self.data)
-        if poses is not None:
-            for k, pose in enumerate(poses):
-                self.data.qpos[7 * k : 7 * k + 3] = pose[:3, 3] / self.units.length
-                self.data.qpos[7 * k + 3 : 7 * k + 7] = quaternion(pose)
-            mujoco.mj_kinematics(self.model, self.data)
-            if self._keep:
-                self._rest_as_they_are()
-        self._start(velocity, angular_velocity)
+        self._start()
 
     def set_masses(self, masses: Mapping[str, float]) -> None:
         """Set the masses of some bodies, kg, their inertias in proportion; call `reset` afterwards."""
@@ -381,18 +359,17 @@ class World:
     def _distance(self, a: Any, b: Any, limit: float) -> float:
         return float(mujoco.mj_geomDistance(self.model, self.data, int(a), int(b), limit, None))
 
-    def _start(self, velocity: np.ndarray | None = None, angular_velocity: np.ndarray | None = None) -> None:
+    def _start(self) -> None:
         """Set the speeds at the start and compute forces."""
-        bodies = [self.matter.bodies[index] for index in self.moving]
-        straight = np.array([body.velocity for body in bodies]) if velocity is None else np.asarray(velocity, float)
-        turning = [body.angular_velocity for body in bodies] if angular_velocity is None else angular_velocity
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         for k, number in enumerate(self._moving_ids):
-            turn = np.asarray(turning[k], float) * self.units.time
+            body = self.matter.bodies[self.moving[k]]
+            straight = np.array(body.velocity) * (self.units.time / self.units.length)
+            turn = np.asarray(body.angular_velocity, float) * self.units.time
             # MuJoCo's speed is that of the body's origin, which for a mesh is not its centre of mass
             arm = self.data.xpos[number] - self.data.xipos[number]
-            self.data.qvel[6 * k : 6 * k + 3] = straight[k] * self.units.time / self.units.length + np.cross(turn, arm)
+            self.data.qvel[6 * k : 6 * k + 3] = straight + np.cross(turn, arm)
             self.data.qvel[6 * k + 3 : 6 * k + 6] = self.data.xmat[number].reshape(3, 3).T @ turn
         mujoco.mj_forward(self.model, self.data)
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 HANDS, FILMS = 2, 14  # motions of a hand, and of the engine
 CARRIED = 0.2  # probability of a hand: most of what is in the air falls
-TIMESTEP = 0.002  # seconds, of the engine: a fall need not be exact
+COARSER = 8.0  # times the steps that tell of materials: a fall need not be exact
 LONGEST = 0.6  # seconds: what falls from two metres rests or goes on as it did
 
 
@@ -66,33 +66,33 @@ class Hidden(NamedTuple):
 
 def last_seen(tracker: "Tracker", k: int) -> Hidden:
     """Return what may become of thing k, which was seen in the frame before; all other things stay where they are."""
+    from derender.dynamics.engine import Engine, Material
+    from derender.dynamics.states import from_poses, to_poses
     from derender.physics.bodies import KIND_NAMES, Body, Matter
     from derender.physics.mujoco_model import Diverged
-    from derender.physics.simulate import Rollout
 
     thing, rng = tracker.things[k], np.random.default_rng(k)  # a film is followed in the same way each time
     bodies = [] if tracker.floor is None else [Body("floor", "plane", np.zeros(3), tracker.floor)]
     for n, other in enumerate(tracker.things):
         if other.here or n == k:
             bodies.append(Body(other.name, KIND_NAMES[other.kind], other.size, other.pose, fixed=n != k))
-    rollout = Rollout(Matter(tuple(bodies), tracker.gravity, ()), TIMESTEP)
-    times = tracker.step * np.arange(int(np.ceil(LONGEST / tracker.step)) + 1)
-    paths = np.tile(thing.pose, (HANDS + FILMS, len(times), 1, 1))
-    for t, time in enumerate(times):
-        paths[1, t] = moved(thing.pose, np.concatenate([thing.velocity, thing.spin]) * time)
+    engine = Engine(Matter(tuple(bodies), tracker.gravity, ()), (thing.name,), tracker.step, COARSER)
+    speed, count = np.concatenate([thing.velocity, thing.spin]), int(np.ceil(LONGEST / tracker.step)) + 1
+    paths = np.tile(thing.pose, (HANDS + FILMS, count, 1, 1))
+    paths[1] = [moved(thing.pose, speed * tracker.step * t) for t in range(count)]
     spread = thing.covariance[:6, :6]
     for n in range(HANDS, len(paths)):
         off, faster = rng.multivariate_normal(np.zeros(6), spread, 2) * (n > HANDS)
         faster *= np.sqrt(2.0) / tracker.step  # a speed is the difference of two poses
-        friction = MEDIAN * np.exp(SPREAD * rng.standard_normal())
+        engine.tell(Material(MEDIAN * np.exp(SPREAD * rng.standard_normal()), 0.0, engine.masses))
+        paths[n, 0] = moved(thing.pose, off)
+        state = from_poses(paths[n, :1])
+        state[0, 7:10], state[0, 10:] = (speed + faster)[:3], paths[n, 0, :3, :3].T @ (speed + faster)[3:]
+        state[:, :3] -= engine.overlaps(state)[:, None] * tracker.gravity / np.linalg.norm(tracker.gravity)
         try:
-            paths[n] = rollout(
-                times,
-                poses={thing.name: moved(thing.pose, off)},
-                velocity={thing.name: thing.velocity + faster[:3]},
-                angular_velocity={thing.name: thing.spin + faster[3:]},
-                friction={body.name: friction for body in bodies},
-            )[:, 0]
+            for t in range(1, count):
+                state = engine.advance(state)
+                paths[n, t] = to_poses(state)[0]
         except Diverged:
             paths[n] = paths[1]
     costs = np.repeat([-np.log(CARRIED / HANDS), -np.log((1 - CARRIED) / FILMS)], [HANDS, FILMS])
