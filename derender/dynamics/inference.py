@@ -14,6 +14,7 @@ from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamic
 from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
 from derender.posterior.smc import next_temperature, systematic
+from derender.sampling.evidence import draw_t, log_t
 
 # Where Levenberg-Marquardt may start: films of these frictions are held against the tracked poses, and it starts from
 # the nearest few.
@@ -260,14 +261,16 @@ def sample(
             centre = weights @ points
             away = points - centre
             fitted = (weights[:, None] * away).T @ away
-            components = [(centre, (fitted + floor) * WIDER**2)]
+            about = [(centre, fitted)]
         else:
-            components = []
-            for mode in modes:
-                first = block_diag(mode.covariance[-size:, -size:], np.diag(mode.uncertain**2))
-                components.append(
-                    (np.concatenate([mode.path.coordinates, np.log(mode.scales)]), (first + floor) * WIDER**2)
+            about = [
+                (
+                    np.concatenate([mode.path.coordinates, np.log(mode.scales)]),
+                    block_diag(mode.covariance[-size:, -size:], np.diag(mode.uncertain**2)),
                 )
+                for mode in modes
+            ]
+        components = [(centre, WIDER * np.linalg.cholesky(spread + floor)) for centre, spread in about]
         rounds.append(components)
         fresh = np.array([_proposal(rng, components, parameters) for _ in range(draws)])
         points = np.vstack([points, fresh])
@@ -291,24 +294,14 @@ def _proposal(rng: np.random.Generator, components: list, parameters: Parameters
     if rng.uniform() < FROM_PRIOR:
         scales = [error.sample(rng) for error in parameters.prior.errors]
         return np.concatenate([parameters.sample_prior(rng), np.log(scales)])
-    centre, covariance = components[rng.integers(len(components))]
-    width = math.sqrt(FREEDOM / rng.chisquare(FREEDOM))
-    return centre + width * (np.linalg.cholesky(covariance) @ rng.standard_normal(len(centre)))
+    return draw_t(rng, *components[rng.integers(len(components))], FREEDOM, 1)[0]
 
 
 def _mixture(points: np.ndarray, rounds: list, parameters: Parameters) -> np.ndarray:
     """Return the log density (K,) of what all rounds proposed."""
-    size, dimension = parameters.size, points.shape[1]
-    logs = []
-    for components in rounds:
-        for centre, covariance in components:
-            lower = np.linalg.cholesky(covariance)
-            square = np.sum(np.linalg.solve(lower, (points - centre).T) ** 2, axis=0)
-            constant = math.lgamma((FREEDOM + dimension) / 2) - math.lgamma(FREEDOM / 2)
-            constant -= 0.5 * dimension * math.log(FREEDOM * math.pi) + float(np.log(np.diag(lower)).sum())
-            constant -= math.log(len(components) * len(rounds))
-            logs.append(constant - 0.5 * (FREEDOM + dimension) * np.log1p(square / FREEDOM))
-    student = logsumexp(logs, axis=0)
+    size = parameters.size
+    shares = ((each, math.log(len(components) * len(rounds))) for components in rounds for each in components)
+    student = logsumexp([log_t(points, *each, FREEDOM) - share for each, share in shares], axis=0)
     scales = parameters.prior.log_density_of_scales
     prior = np.array([parameters.log_prior(point[:size]) + scales(point[size:]) for point in points])
     return np.logaddexp(math.log1p(-FROM_PRIOR) + student, math.log(FROM_PRIOR) + prior)
