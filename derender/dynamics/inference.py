@@ -42,6 +42,10 @@ ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 80, 50.0,
 FEWEST = 0.1
 KEPT = 1000
 
+Component = tuple[
+    np.ndarray, np.ndarray
+]  # of a proposal: a t's centre (D,) and the Cholesky factor (D, D) of its scale
+
 
 class Mode(NamedTuple):
     """A local maximum."""
@@ -251,7 +255,7 @@ def sample(
     """
     size, spread = parameters.size, parameters.prior.log_scales()[1]
     floor = 1e-4 * np.diag(np.concatenate([parameters.spread(), spread]) ** 2)
-    rounds: list[list[tuple[np.ndarray, np.ndarray]]] = []
+    rounds: list[list[Component]] = []
     points, target, log_weights = np.empty((0, size + len(spread))), np.empty(0), np.empty(0)
     for number in range(MOST_ROUNDS):
         if number >= ROUNDS and Draws(points, points, log_weights - logsumexp(log_weights)).effective > ENOUGH:
@@ -289,7 +293,7 @@ def _flattened(log_weights: np.ndarray) -> np.ndarray:
     return raised - logsumexp(raised)
 
 
-def _proposal(rng: np.random.Generator, components: list, parameters: Parameters) -> np.ndarray:
+def _proposal(rng: np.random.Generator, components: list[Component], parameters: Parameters) -> np.ndarray:
     """Return one point from a mixture of t distributions, or from the prior."""
     if rng.uniform() < FROM_PRIOR:
         scales = [error.sample(rng) for error in parameters.prior.errors]
@@ -297,7 +301,7 @@ def _proposal(rng: np.random.Generator, components: list, parameters: Parameters
     return draw_t(rng, *components[rng.integers(len(components))], FREEDOM, 1)[0]
 
 
-def _mixture(points: np.ndarray, rounds: list, parameters: Parameters) -> np.ndarray:
+def _mixture(points: np.ndarray, rounds: list[list[Component]], parameters: Parameters) -> np.ndarray:
     """Return the log density (K,) of what all rounds proposed."""
     size = parameters.size
     shares = ((each, math.log(len(components) * len(rounds))) for components in rounds for each in components)
