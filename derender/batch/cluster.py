@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from derender.atomic import files_together, make_folder, write_bytes
 from derender.batch.frames import Frame
-from derender.batch.work import THUMBNAIL, Done, Order, answer_frame, failure, request_of
+from derender.batch.work import THUMBNAIL, Done, Order, answer_frame, attempt, failure, request_of
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.errors import DerenderError
 from derender.json_text import parse_json
@@ -129,7 +129,7 @@ def answer_elsewhere(frame: Frame, request: "Request", page: bool) -> tuple[Done
     """Infer a frame on a worker; return what came of it and its files by name."""
     os.environ.setdefault(THREADS_VARIABLE, "1")
     with tempfile.TemporaryDirectory() as folder:
-        done = answer_frame(frame, request, page, Path(folder))
+        done = attempt(frame, lambda warn: answer_frame(frame, request, page, Path(folder), warn))
         files = (
             {} if done.error else {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
         )

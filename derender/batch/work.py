@@ -58,13 +58,25 @@ class Done(NamedTuple):
 
 def infer_frame(frame: Frame, order: Order, output: str) -> Done:
     """Infer a frame into its folder below `output`; whatever goes wrong with it is told, not raised."""
+
+    def rows(warn: Callable[[str], None]) -> list[dict[str, Any]]:
+        request = request_of(frame, order, output, warn)
+        return answer_frame(frame, request, order.page, make_folder(Path(output) / frame.name), warn)
+
+    return attempt(frame, rows)
+
+
+def attempt(frame: Frame, work: Callable[[Callable[[str], None]], list[dict[str, Any]]]) -> Done:
+    """Return what came of a frame: of work that takes a function to warn with and returns the rows of its table."""
     started, warnings = time.monotonic(), []
     try:
-        request = request_of(frame, order, output, warnings.append)
+        done = Done(frame, work(warnings.append))
     except DerenderError as fault:
-        return failure(frame, str(fault))
-    done = answer_frame(frame, request, order.page, make_folder(Path(output) / frame.name))
-    return done._replace(warnings=(*warnings, *done.warnings), seconds=time.monotonic() - started)
+        done = failure(frame, str(fault))
+    except Exception as fault:  # a bug: it must not cost the other frames their results, so it is shown with its trace
+        error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"[:300]
+        done = failure(frame, error)._replace(trace=traceback.format_exc())
+    return done._replace(warnings=tuple(warnings), seconds=time.monotonic() - started)
 
 
 def request_of(frame: Frame, order: Order, output: str, warn: Callable[[str], None]) -> "Request":
@@ -78,21 +90,15 @@ def request_of(frame: Frame, order: Order, output: str, warn: Callable[[str], No
     )  # fmt: skip
 
 
-def answer_frame(frame: Frame, request: "Request", page: bool, folder: Path) -> Done:
-    """Infer a frame that has been read, into a folder."""
+def answer_frame(
+    frame: Frame, request: "Request", page: bool, folder: Path, warn: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """Infer a frame that has been read, into a folder, and return its rows."""
     from derender.workflow import answer
 
-    started, warnings = time.monotonic(), []
-    try:
-        outcome = answer(request, folder, page, warn=warnings.append)
-        write_thumbnail(folder / THUMBNAIL, outcome.posterior, request.seen)
-        done = Done(frame, rows_in(folder, frame.name))
-    except DerenderError as fault:
-        done = failure(frame, str(fault))
-    except Exception as fault:  # a bug: it must not cost the other frames their results, so it is shown with its trace
-        error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"[:300]
-        done = failure(frame, error)._replace(trace=traceback.format_exc())
-    return done._replace(warnings=tuple(warnings), seconds=time.monotonic() - started)
+    outcome = answer(request, folder, page, warn=warn)
+    write_thumbnail(folder / THUMBNAIL, outcome.posterior, request.seen)
+    return rows_in(folder, frame.name)
 
 
 def failure(frame: Frame, why: str) -> Done:

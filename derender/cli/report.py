@@ -74,6 +74,8 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     image = read_observation(place) if place else None
     observed, camera = image if image is not None else (None, first.camera)
     names = ", ".join(each.name for each in found)
+    if posterior is not None and len(found) == 1:  # as the page that `infer` wrote
+        names = Path(str(posterior.meta.get("image", names))).name
     told = read_explained(place, image[1].shape) if place and image is not None else None
     facts = {"chains of": f"{len(found)} runs"} if len(found) > 1 else {}
     report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from derender.batch.frames import Frame
 from derender.batch.run import Processes, infer_frames
-from derender.batch.work import Done, Order, failure, is_done
+from derender.batch.work import Done, Order, failure, infer_frame, is_done
 from derender.cli import group
 from derender.structures.options import Options
 
@@ -63,6 +63,14 @@ def test_a_bad_frame_does_not_stop_the_others_and_jobs_change_no_byte(frames):
     assert other.returncode == 1 and "were made with other options (--quick)" in other.stderr
     shown = CliRunner().invoke(group, ["show", str(frames / "one")])
     assert str(shown.exception).endswith(f"one: this folder holds 3 results; name one, such as {frames / 'one' / 'a'}")
+
+
+def test_a_frame_whose_folder_cannot_be_made_fails_alone(frames, tmp_path, monkeypatch):
+    place = Frame("a", str(frames / "frames" / "a.npy"))
+    (tmp_path / "a").write_text("in the way")
+    assert "the folder cannot be" in infer_frame(place, Order(), str(tmp_path)).error
+    monkeypatch.setattr("derender.workflow.ask", lambda *_: 1 / 0)
+    assert infer_frame(place, Order(), str(tmp_path)).error == "ZeroDivisionError: division by zero"
 
 
 @pytest.mark.slow

@@ -28,7 +28,10 @@ def folder(tmp_path):
     depth[20:28, 2:10] = 0.4
     one = np.zeros((1, 1))
     posterior = Posterior(
-        (StructurePosterior(graph, (), np.zeros((1, 1, 0)), one, one),), 1, "derender infer x", meta={}
+        (StructurePosterior(graph, (), np.zeros((1, 1, 0)), one, one),),
+        1,
+        "derender infer x",
+        meta={"image": "there/x.npy"},
     )
     place = tmp_path / "result"
     place.mkdir()
@@ -52,6 +55,7 @@ def test_a_missing_page_is_made_and_opened(folder, monkeypatch):
     assert opened == [(folder / "report.html").resolve().as_uri()]
     page = (folder / "report.html").read_text()
     assert "region A below and left of the middle" in page and 'class="doubt"' in page
+    assert "<h1>x.npy</h1>" in page  # as the page that infer writes
     assert "Simulated: settles, P(stable) 0.75" in page and "data:image/gif" in page
     for name in ("scene.yaml", "objects.csv", "scene.glb"):
         assert f'download="{name}"' in page
