@@ -388,12 +388,13 @@ def _is_single(path: Path) -> bool:
 
 def _scenes_in(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
     found: dict[str, Path] = {}
+    of_run = (folder / "results.jsonl").exists()  # of `derender infer FRAMES...`: scenes are in its folders alone
     # Of several files of one name the first kind in `suffixes` is taken: a scene before a picture of it.
     ordered = sorted(folder.iterdir(), key=lambda p: suffixes.index(p.suffix) if p.suffix in suffixes else -1)
     for path in ordered:
         if path.is_dir() and (path / "scene.yaml").exists():
             found.setdefault(path.name, path)
-        elif path.is_file() and path.suffix in suffixes:
+        elif path.is_file() and path.suffix in suffixes and not of_run:
             found.setdefault(path.stem, path)
     return found
 

@@ -26,6 +26,11 @@ def test_pairs(tmp_path):
     assert paired(left / "b.yaml", right / "c.png")[0][0] == "b"
 
 
+def test_what_a_run_over_many_frames_leaves_beside_its_scenes_is_none(tmp_path):
+    run = touch(tmp_path / "run", "a/scene.yaml", "batch.json", "results.jsonl", "results.csv", "index.html")
+    assert [name for name, _, _ in paired(run, run)] == ["a"]
+
+
 def test_pairs_that_cannot_be(tmp_path):
     left = touch(tmp_path / "left", "a.yaml")
     right = touch(tmp_path / "right", "a.yaml", "b.yaml")
