@@ -9,10 +9,8 @@ What one by one leaves open is open together (`combinations`): where a can may a
 longer than it is wide, one more structure has both changes.
 """
 
-from collections.abc import Iterator
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -192,20 +190,17 @@ def without(best: Refined, i: int, rules: Rules) -> Refined:
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 
 
-def one_step_away(best: Refined, names: list[str]) -> Iterator[Any]:
-    """Yield the keys of the structures that `of_one_solid` weighs, at a fifth of the cost of an integral over all."""
-    for i in range(len(best.state)):
-        yield from (structure_key(state, names) for state in changes(best, i))
-        yield structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]])
-
-
 def from_search(best: Refined, pool: list[tuple[State, float]], energy: float, temper: float) -> list[State]:
     """Return the states of structures that the search met, more than one step from the best.
 
     pool : (state, energy) of them. energy : the best one's. temper : by which energies are multiples of nats.
     """
     names = names_of(best.state)
-    seen = {structure_key(best.state, names), *one_step_away(best, names)}
+    solids = range(len(best.state))
+    # what `of_one_solid` weighs is one step away, and at a fifth of the cost of integrals over all
+    seen = {structure_key(best.state, names)}
+    seen |= {structure_key(state, names) for i in solids for state in changes(best, i)}
+    seen |= {structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]]) for i in solids}
     near: list[State] = []
     for state, value in sorted(pool, key=lambda pair: pair[1]):
         if value > energy + temper * WITHIN or len(near) >= FROM_SEARCH:
