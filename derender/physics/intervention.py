@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.physics.bodies import Body, Matter
 from derender.registry import suggest
+from derender.scene.codec.yaml_nodes import parse_number
 from derender.scene.pose import from_rotation_vector
 
 
@@ -65,11 +66,6 @@ def tilted(matter: Matter, angle: float, direction: np.ndarray) -> Matter:
     return matter._replace(gravity=turned)
 
 
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "": 1.0}
-TIMES = {"ms": 1e-3, "s": 1.0, "": 1.0}
-FORCES = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "": 1.0}
-ANGLES = {"deg": np.pi / 180, "rad": 1.0, "": 1.0}
-FREQUENCIES = {"Hz": 1.0, "": 1.0}
 AXES = ("x", "y", "z")
 
 
@@ -133,14 +129,14 @@ def read_push(text: str) -> Push:
         raise DerenderError("not a push", f"--push {text}", "write NAME:+x:0.5N@0.1s")
     force, time = parts[2].split("@", 1)
     where = f"--push {text}"
-    newtons = _quantity(force, FORCES, where) * _direction(parts[1], where)
-    return Push(parts[0], newtons, 0.0, _quantity(time, TIMES, where, True))
+    newtons = _quantity(force, "N", where) * _direction(parts[1], where)
+    return Push(parts[0], newtons, 0.0, _quantity(time, "s", where, True))
 
 
 def read_tilt(text: str) -> tuple[float, np.ndarray]:
     """Read ANGLE or ANGLE:DIRECTION, such as 10deg:+y; the floor sinks towards the direction, +x where none is said."""
     angle, _, way = text.partition(":")
-    value = _quantity(angle, ANGLES, f"--tilt {text}")
+    value = _quantity(angle, "rad", f"--tilt {text}")
     if not 0 <= value <= np.pi / 2:
         raise DerenderError("the tilt is not between 0 and 90 degrees", f"--tilt {text}", "write 10deg or 10deg:-y")
     return value, _direction(way or "+x", f"--tilt {text}")
@@ -153,14 +149,14 @@ def read_shake(text: str) -> Shake:
     if len(parts) not in (2, 3):
         raise DerenderError("not a way to shake", where, "write 2Hz:5mm or 2Hz:5mm:+y")
     way = _direction(parts[2] if len(parts) == 3 else "+x", where)
-    return Shake(_quantity(parts[0], FREQUENCIES, where, True), _quantity(parts[1], LENGTHS, where), way)
+    return Shake(_quantity(parts[0], "Hz", where, True), _quantity(parts[1], "m", where), way)
 
 
 def read_jitter(text: str) -> tuple[float, float]:
     """Read LENGTH or LENGTH,ANGLE, such as 2mm,1deg."""
     length, _, angle = text.partition(",")
     where = f"--jitter {text}"
-    return _quantity(length, LENGTHS, where), _quantity(angle or "0", ANGLES, where)
+    return _quantity(length, "m", where), _quantity(angle or "0", "rad", where)
 
 
 def read_add(text: str) -> tuple[str, str, np.ndarray, str, tuple[float, float]]:
@@ -171,17 +167,16 @@ def read_add(text: str) -> tuple[str, str, np.ndarray, str, tuple[float, float]]
     parts, (parent, _, place) = head.split(":"), tail.partition(":")
     if len(parts) != 3 or not parent or parts[1] not in ("box", "cube", "sphere", "cylinder"):
         raise DerenderError("not an object to add", where, remedy)
-    numbers = re.fullmatch(r"([0-9.x]+)(mm|cm|m|)", parts[2])
-    try:
-        sizes = [LENGTHS[numbers.group(2)] * float(each) for each in numbers.group(1).split("x")]  # type: ignore[union-attr]
-    except (AttributeError, ValueError):
-        raise DerenderError("not a size", where, remedy) from None
+    numbers = re.fullmatch(r"([0-9.x]+)([a-z]*)", parts[2])
+    if numbers is None:
+        raise DerenderError("not a size", where, remedy)
+    sizes = [_quantity(each + numbers[2], "m", where) for each in numbers[1].split("x")]
     wanted = {"box": 3, "cube": 1, "sphere": 1, "cylinder": 2}[parts[1]]
     if len(sizes) != wanted or min(sizes) <= 0:
         raise DerenderError(f"a {parts[1]} has {wanted} positive size(s)", where, remedy)
     size = sizes if wanted == 3 else [sizes[0], sizes[0], sizes[-1]]
     x, _, y = place.partition(",")
-    offset = (_quantity(x or "0", LENGTHS, where, signed=True), _quantity(y or "0", LENGTHS, where, signed=True))
+    offset = (_quantity(x or "0", "m", where, signed=True), _quantity(y or "0", "m", where, signed=True))
     return parts[0], "box" if parts[1] == "cube" else parts[1], np.array(size), parent, offset
 
 
@@ -191,19 +186,17 @@ def _direction(text: str, where: str) -> np.ndarray:
         way = np.zeros(3)
         way[AXES.index(text[-1])] = -1.0 if text[0] == "-" else 1.0
         return way
-    angle = _quantity(text, ANGLES, where, signed=True)
+    angle = _quantity(text, "rad", where, signed=True)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 MOST = 1e6  # metres, radians, newtons, seconds or hertz: what is beyond can be no more than a slip, and overflows
 
 
-def _quantity(text: str, units: dict[str, float], where: str, positive: bool = False, signed: bool = False) -> float:
-    """Read a number with one of the units by name; positive : not 0, signed : below 0 too."""
-    found = re.fullmatch(r"\s*([-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?)\s*([A-Za-z]*)\s*", text)
-    if found is None or found.group(2) not in units or not np.isfinite(float(found.group(1))):
-        raise DerenderError(f"{text!r} is no number in {' or '.join(u for u in units if u)}", where, "such as 5 or 0.5")
-    value = float(found.group(1)) * units[found.group(2)]
+def _quantity(text: str, unit: str, where: str, positive: bool = False, signed: bool = False) -> float:
+    """Read a number in a base unit or one of its kind (`UNITS`); positive : not 0, signed : below 0 too."""
+    with at_fault(where):
+        value = parse_number(text, unit)
     if (value < 0 and not signed) or (positive and value == 0):
         raise DerenderError(f"{text!r} is not {'positive' if positive else '0 or more'}", where, "such as 5 or 0.5")
     if abs(value) > MOST:

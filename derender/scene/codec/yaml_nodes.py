@@ -242,6 +242,8 @@ UNITS: dict[str, dict[str, float]] = {
     "kg": {"kg": 1.0, "g": 0.001},
     "s": {"s": 1.0, "ms": 0.001},
     "px": {"px": 1.0},
+    "N": {"N": 1.0, "mN": 0.001, "kN": 1000.0},
+    "Hz": {"Hz": 1.0},
     "": {},
 }
 
@@ -251,7 +253,7 @@ _WITH_UNIT = re.compile(r"(.*?)\s*([A-Za-z%°]+)")
 
 
 def parse_number(text: str, unit: str = "") -> float:
-    """Return the number that `text` says, in the base unit `unit` ("m", "rad", "kg", "s", "px" or "" for none).
+    """Return the number that `text` says, in the base unit `unit` ("m", "rad", "kg", ... of UNITS, or "" for none).
 
     Raises DerenderError : if it is no finite number in strict notation, or its unit does not fit.
     """
