@@ -346,7 +346,7 @@ def without_leaks(seen: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
     return sharp
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def smoothed(depth, quiet, sigma):
     """Return depths (H, W) as the mean inverse depth of each pixel and of its neighbours in pairs, one on either side.
 

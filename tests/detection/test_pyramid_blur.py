@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.detection.pyramid import blurred_jumps
+from derender.detection.pyramid import blurred_jumps, smoothed
 from derender.detection.search.observation import observe
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
@@ -74,6 +74,11 @@ def test_a_reduced_image_shows_no_mixture_of_two_depths():
         assert some.sum() > 50 and np.sqrt(np.mean((seen.single - there)[some] ** 2)) < 1.5 * NOISE
     left_out = np.isnan(observe(box_image(2, 0.8)[0], WHOLE).single)
     assert 0 < left_out.sum() < 0.03 * left_out.size
+
+
+def test_beside_a_horizon_what_is_undone_may_lie_behind_the_camera():
+    """A mean inverse depth of nothing is infinitely far: no fault."""
+    assert smoothed(np.array([[-2.0, 1.0, -2.0]]), np.ones((1, 3)), NOISE)[0, 1] == np.inf
 
 
 @pytest.mark.parametrize("seed", [3, 4])

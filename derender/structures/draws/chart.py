@@ -22,14 +22,7 @@ from derender.detection.solids.beliefs import (
     log_density_at,
 )
 from derender.detection.solids.image import ROW
-from derender.detection.solids.interpenetration import (
-    gap_between,
-    highest,
-    lowest,
-    penetration,
-    penetration_beyond,
-    reach,
-)
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration_beyond, reach
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import TOUCHING, flat_top, shadows_overlap
@@ -322,7 +315,7 @@ def solid_log_prior(chart, rows, k):
             return -np.inf
         if flag[HELD]:
             height, row[12] = row[12], on[12]  # beside each other they overlap where one lies over the other
-            apart = penetration(row, on) <= 0.0
+            apart = penetration_beyond(row, on, 0.0) <= 0.0
             row[12] = height
             if apart:
                 return -np.inf
