@@ -174,7 +174,7 @@ def _value(value: Any) -> str:
 def _unknowns(prior: TreePrior) -> str:
     import numpy as np
 
-    count = len(prior.free_addresses(prior.sample(np.random.default_rng(0))))
+    count = len(prior.free_addresses(prior.sample_unconstrained(np.random.default_rng(0))))
     return f"{count} unknown numbers, {len(prior.objects)} objects"
 
 

@@ -2,7 +2,10 @@
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -178,3 +181,10 @@ def test_faults_are_one_line(folder, capfd, arguments, says):
 
 def test_usage_is_two():
     assert run("sample", "-n", "0") == 2 == run("sample", "--no-such")
+
+
+def test_a_prior_is_shown_without_compiling(tmp_path):
+    """Its kernels are those of what samples it: a tree of lines needs none."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-m", "derender", "show", "relations"], capture_output=True, env=environment)
+    assert done.returncode == 0 and b"unknown numbers" in done.stdout and not done.stderr
