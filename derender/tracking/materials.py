@@ -14,7 +14,7 @@ from derender.dynamics.shooting import RESTS
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter
 from derender.scene.pose import inverse
-from derender.tracking.page import with_materials
+from derender.tracking.result import with_materials
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
 

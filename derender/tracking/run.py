@@ -24,9 +24,8 @@ from derender.tracking.film import (
     read_film,
     read_timing,
 )  # fmt: skip
-from derender.tracking.page import report_page
 from derender.tracking.passes import Passes
-from derender.tracking.result import events_of, write_track
+from derender.tracking.result import events_of, report_page, write_track
 from derender.tracking.thing import GONE, start_from
 from derender.tracking.track import Recorder, Track
 

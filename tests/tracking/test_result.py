@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from browser import needed, violations
 
-from derender.tracking.page import report_page, with_materials
-from derender.tracking.result import FILES, events_of, track_json, write_track
+from derender.tracking.result import FILES, events_of, report_page, track_json, with_materials, write_track
 from derender.tracking.track import Recorder
 
 
