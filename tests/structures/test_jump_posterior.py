@@ -11,9 +11,13 @@ from jump_worlds import document_of, generator, jump_chain
 from derender.camera.intrinsics import Camera
 from derender.posterior.target import ObservedImage
 from derender.render.raycast.evaluator import DepthEvaluator
+from derender.scene.pose import rotation_x, translation
+from derender.structures.infer import infer_structure
 from derender.structures.jumps.base import State, Target, Vocabulary
 from derender.structures.jumps.chain import Draws, called, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
+from derender.structures.options import Options
+from worlds.made_scenes import render_floor_scene
 
 # At most two objects, cubes or balls, on the floor or on a cube; 16 x 12 pixels with noise that leaves doubt.
 TINY = """
@@ -123,3 +127,13 @@ def test_objects_are_called_after_what_they_are_in_the_likeliest_structure():
         (("floor", "cube_1"), pytest.approx(2 / 3)), (("floor", "cube_1"), pytest.approx(1 / 3)),
     ]  # fmt: skip
     assert posterior.parts[0].addresses[0].startswith("cube_1.")
+
+
+def test_a_camera_may_be_a_mapping():
+    """As for the other methods: chains asked it for its height."""
+    floor = translation(0.0, 0.0, 0.8) @ rotation_x(np.radians(125.0))
+    camera = {"fx": 80.0, "fy": 80.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    box = floor @ translation(0.0, 0.0, 0.05)
+    depth, _ = render_floor_scene(["box"], box[None], np.full((1, 3), 0.1), floor, camera)
+    options = Options(method="mcmc", draws=2, warmup=20, chains=1, seed=1)
+    assert infer_structure(depth, camera, options).best_part.log_density.shape == (1, 2)

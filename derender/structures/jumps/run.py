@@ -175,9 +175,10 @@ def infer_by_jumps(
     Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
     from derender.detection.estimate import point_estimate
-    from derender.structures.infer import explanation_of, settings_of
+    from derender.structures.infer import explanation_of, settings_of, whole_camera
 
     rng = np.random.default_rng(options.seed) if rng is None else rng
+    camera = whole_camera(camera, image.shape)
     if progress:
         progress(0.0, "searching for solids")
     plane = read_floor(options.floor)
