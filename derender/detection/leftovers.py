@@ -108,18 +108,10 @@ def with_solid(
     rng: np.random.Generator, seen: Observation, state: State, mask: np.ndarray, settings: Settings
 ) -> tuple[State, float]:
     """Return (State, gain) with the solid that explains these pixels best, where LEFT_PRICE is all that one costs."""
-    image, points = seen.image, seen.points[clear_of_edges(seen, mask)[0]]
-    view, before = held_out(image, state, -1), total_energy(image, state, settings)
-    tries, bottom = [], standing(seen, state, mask)[1]
-    hypotheses = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
-    if "box" in settings.shapes:
-        turns = np.pi / 2 * np.arange(YAWS) / YAWS
-        hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False) for yaw in turns]
-    for h in hypotheses:
-        row, energy, _ = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, bottom, settings, ROUNDS)
-        tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))
+    image, bottom = seen.image, standing(seen, state, mask)[1]
+    before, tries = total_energy(image, state, settings), polished(rng, seen, state, -1, mask, bottom, settings)
     best, least = state, np.inf
-    for _, _, row, h in sorted(tries)[:FINISHED]:
+    for _, _, row, h in tries[:FINISHED]:
         only = {len(state)}
         new = assign_supports(image, state.add(row, h.form, h.cube), settings, only)
         sweep(rng, image, new, settings, ROUNDS, only=only)
@@ -127,6 +119,24 @@ def with_solid(
         if (energy := total_energy(image, new, settings)) < least:
             best, least = new, energy
     return best, before - least + settings.price - settings.temper * LEFT_PRICE
+
+
+def polished(rng: np.random.Generator, seen: Observation, state: State, i: int, mask: np.ndarray, bottom: float,
+             settings: Settings) -> list[tuple[float, int, np.ndarray, Hypothesis]]:  # fmt: skip
+    """Return sorted (energy, number, row, hypothesis) of solids on a height that explain the pixels of a mask (H, W).
+
+    i : index of the solid that they take the place of; -1: none.
+    """
+    image, points = seen.image, seen.points[clear_of_edges(seen, mask)[0]]
+    view, tries = held_out(image, state, i), []
+    hypotheses = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
+    if "box" in settings.shapes:
+        turns = np.pi / 2 * np.arange(YAWS) / YAWS
+        hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False) for yaw in turns]
+    for h in hypotheses:
+        row, energy, _ = run_polish(rng, image, state, i, h.row, h.form, h.cube, view, bottom, settings, ROUNDS)
+        tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))
+    return sorted(tries)
 
 
 SURE = (1.0, 0.0)  # probability and error: whether something is there is not asked here

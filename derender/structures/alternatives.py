@@ -46,6 +46,7 @@ from derender.structures.draws.refined import (
     with_sensor_refitted,
     without_unseen,
 )
+from derender.structures.draws.sensor import Sensor
 from derender.structures.weighing import CLOSE, IMPROBABLE, Block, Weighed, discrete_part, of_block, with_own_sensor
 
 PRUNE_THRESHOLD = 25.0  # nats below the best mode from which on a change is not looked at any further
@@ -93,7 +94,7 @@ def of_one_solid(
         trial = tried(rng, best, state, places, rules, least=least)
         if trial is not None and all_seen(trial):
             several.append(trial)
-    removed = without(best, i, rules)
+    removed = unclimbed(best.state.without(i), floor_pose_of(best), best.sensor, rules)
     others: list[Weighed] = []
     if height(removed) > height(best) - PROMISING:
         # what stands about it may have given way to what is not there: then it goes back once that is gone
@@ -182,12 +183,10 @@ def all_seen(trial: Refined) -> bool:
     return len(without_unseen(trial.state, trial)) == len(trial.state)
 
 
-def without(best: Refined, i: int, rules: Rules) -> Refined:
-    """Return the Refined of the best state with solid `i` taken away, the rest as it is."""
-    state = best.state.without(i)
-    chart, values = make_chart(state, floor_pose_of(best), rules)
-    engine = engine_of(chart, best.sensor)
-    return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
+def unclimbed(state: State, floor: np.ndarray, sensor: Sensor, rules: Rules) -> Refined:
+    """Return the Refined of a state as it is. floor : (4, 4) pose, floor frame to camera."""
+    chart, values = make_chart(state, floor, rules)
+    return refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
 
 
 def from_search(best: Refined, pool: list[tuple[State, float]], energy: float, temper: float) -> list[State]:

@@ -126,11 +126,17 @@ def unit_of_lengths(case: Case) -> float:
 
 def searched(rng: np.random.Generator, case: Case, pool: list[tuple[State, float]], say: Progress) -> "list[Look]":
     """Return what was found in the image and in each further one; pool : takes what other searches ended with."""
+    from derender.structures.stacks import with_stacks
     from derender.structures.together import Look, look_from
 
     state, seen = point_estimate(rng, case.depth, case.camera, case.settings, pool=pool, plane=case.plane)
+    settings = settings_for(case.settings, seen)
+    try:
+        seen, state = with_stacks(rng, seen, state, settings)
+    except KeyboardInterrupt:
+        seen = seen._replace(interrupted=True)
     say(0.6, f"{len(state)} solids; sampling")
-    looks, settings = [Look(state, seen)], settings_for(case.settings, seen)
+    looks = [Look(state, seen)]
     for frame in case.frames:
         say(0.6, f"searching {frame.name} for solids")
         found = point_estimate(rng, frame.depth, frame.camera, case.settings)

@@ -1,6 +1,7 @@
 """Small scenes on a table, drawn with noise: for the tests of things and of the background."""
 
 import numpy as np
+import trimesh
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
@@ -26,3 +27,11 @@ def seen_on_the_table(solids, seed=0):
     )
     depth, _ = render_depth(scene, CAMERA)
     return depth + SIGMA * np.random.default_rng(seed).standard_normal(depth.shape)
+
+
+def bowl(radius=0.07, height=0.06):
+    """Return vertices and triangles of a bowl about its bounding box's centre."""
+    inner = 0.92 * radius
+    line = [(0, 0), (0.5 * radius, 0), (radius, height), (inner, height), (0.45 * radius, 0.006), (0, 0.006)]
+    mesh = trimesh.creation.revolve(np.array(line), sections=48)
+    return mesh.vertices - [0, 0, 0.5 * height], np.ascontiguousarray(mesh.faces, np.int32)

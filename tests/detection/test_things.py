@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
-from table_scenes import CAMERA, TABLE, seen_on_the_table
+from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
 
 from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck, part_of_another, slope_of
 from derender.detection.estimate import point_estimate
@@ -43,14 +43,6 @@ def surface_through(points):
     """Return the surface through points (H, W, 3), a pixel of which is some two millimetres wide."""
     even = np.full(points.shape[:2], 0.01)
     return SeenSurface(points, even > 0.0, 0.2 * even, even, np.zeros(3))
-
-
-def bowl(radius=0.07, height=0.06):
-    """Return vertices and triangles of a bowl about its bounding box's centre."""
-    inner = 0.92 * radius
-    line = [(0, 0), (0.5 * radius, 0), (radius, height), (inner, height), (0.45 * radius, 0.006), (0, 0.006)]
-    mesh = trimesh.creation.revolve(np.array(line), sections=48)
-    return mesh.vertices - [0, 0, 0.5 * height], np.ascontiguousarray(mesh.faces, np.int32)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,180 @@
+"""Two solids, one on the other, in place of one solid or free-form thing, where the sensor's likelihood has it so.
+
+Where neighbouring pixels share noise the search asks of each solid what small ones cannot pay, and tells a stack as one
+solid or thing. Here all three are weighed as the posterior weighs them: solids by near integrals of prior times
+likelihood, a free-form surface by the likelihood of what is seen there less what its numbers cost. Of real things,
+which are no such solids exactly, two explain more than one, too: a bottle or a book stays one, for two that are taken
+in its place have to be off the image no farther than INEXACT says.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, polished, without_thing
+from derender.detection.search.greedy import Settings
+from derender.detection.search.observation import CORRELATED, Observation
+from derender.detection.solids.interpenetration import highest, lowest
+from derender.detection.solids.misfit import AS_SEEN
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, State, held_out
+from derender.detection.solids.support import final_parents
+from derender.detection.things import THINNEST, cost_of
+from derender.results.fit import smooth_surface
+from derender.structures.alternatives import QUICK, unclimbed
+from derender.structures.draws.chart import make_chart
+from derender.structures.draws.refined import (
+    ANNEALING,
+    Refined,
+    at_mode,
+    floor_pose_of,
+    height,
+    near_evidence,
+    refine,
+    view_of,
+)
+from derender.structures.draws.sensor import model_depth
+
+# Times as far as half of the floor's pixels are off it half of those of a solid are that may be two, at least; and of
+# each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
+EXACT, INEXACT = 1.1, 2.0
+TRIED = 2  # of the stacks of each pair of kinds that are climbed
+CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is cut in two
+
+
+def with_stacks(
+    rng: np.random.Generator, seen: Observation, state: State, settings: Settings
+) -> tuple[Observation, State]:
+    """Return (Observation, State) with stacks of two for those things and upright solids that these explain better."""
+    if seen.correlation <= CORRELATED or seen.no_floor or seen.interrupted or not settings.free_forms:
+        return seen, state
+    label, bad = badness(seen, state)
+    bears = {thing.parent for thing in seen.things}  # things: solids that stand on it go up with its top
+    looked_at = [k for k, form in enumerate(state.forms)
+                 if form == UPRIGHT and EXACT < bad[k] < np.inf and k not in bears]  # fmt: skip
+    if not (seen.things or looked_at):
+        return seen, state
+    refined = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, 1)
+    if len(refined.state) != len(state):
+        return seen, state
+    things, state = [], refined.state
+    for thing in seen.things:
+        there, bottom = seen._replace(image=without_thing(seen.image, thing)), lowest(thing.row)
+        one = state.add(thing.row, UPRIGHT, False, thing.parent, bottom)
+        two = as_stack(rng, there, refined, one, len(state), thing.mask, settings)
+        if two is None:
+            things.append(thing)
+        else:
+            seen, state = there, two
+    for k in looked_at:
+        two = as_stack(rng, seen, refined, state, k, label == k, settings)
+        state = state if two is None else two
+    state.parents = final_parents(state)
+    order = state.in_order()
+    things = [each._replace(parent=order.index(each.parent) if each.parent in order else each.parent)
+              for each in things]  # fmt: skip
+    seen, found = seen._replace(things=tuple(things)), state.ordered()
+    return (seen, found) if len(found) == len(refined.state) else with_stacks(rng, seen, found, settings)
+
+
+def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Return label (H, W), k where solid k shows, and (N,) how many times as far as half of the floor's pixels are off
+    it half of each solid's are off that: 1 of what is exactly such a solid, inf where that is not told."""
+    _, label, misfit, _ = held_out(seen.image, state, -1)
+    label = np.where(seen.image.weight > 0.0, label, len(state))
+    as_seen = np.abs(seen.image.floor - seen.image.depth) < AS_SEEN
+    floor = misfit[~as_seen & seen.floor.inliers & (label == FLOOR)]
+    shown = [misfit[label == k] for k in range(len(state))]
+    tells = [len(floor) > 0 and len(each) >= LEFT_PIXELS for each in shown]
+    found = [np.sqrt(np.median(each) / np.median(floor)) if told else np.inf
+             for each, told in zip(shown, tells, strict=True)]  # fmt: skip
+    return label, np.array(found)
+
+
+def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, state: State, i: int,
+             shown: np.ndarray, settings: Settings) -> State | None:  # fmt: skip
+    """Return the State in which upright solid `i`, which shows in a mask (H, W), is two, the upper one the last; None
+    where it is likelier as one, or as a free-form surface."""
+    view, rules, floor = view_of(seen), settings.rules, floor_pose_of(refined)
+    sensor, both = refined.sensor._replace(observed=view.observed), (i, len(state))
+    rows = best_upright(rng, seen, state, i, shown, lowest(state.rows[i]), settings)
+    twos = stacks(rng, seen, shown, state, i, rows, settings) if rows else []
+    if not twos or len(state) >= settings.max_objects:
+        return None
+
+    def climbed(states: list[State], places: tuple[int, ...]) -> list[Refined]:
+        """Return the Refined, climbed, of the TRIED of each pair of kinds that are likeliest before."""
+        start: dict[tuple, list[Refined]] = {}
+        for trial in sorted((unclimbed(each, floor, sensor, rules) for each in states), key=height, reverse=True):
+            start.setdefault(tuple(trial.state.rows[list(places), 0]), []).append(trial)
+        return [at_mode(rng, each.state, floor, sensor, rules, QUICK, list(places))
+                for alike in start.values() for each in alike[:TRIED]]  # fmt: skip
+
+    def likeliest(found: list[Refined], places: tuple[int, ...]) -> tuple[Refined, float]:
+        """Return the Refined that is likeliest of some, climbed farther, and its evidence."""
+        state = max(found, key=height).state
+        best = at_mode(rng, state, floor, sensor, rules, 2 * ANNEALING, list(places), ())
+        return best, near_evidence(best, places)
+
+    least = LEFT_HEIGHT * seen.scale
+    found = [each for each in climbed(twos, both) if each.state.rows[list(both), 15].min() > least
+             and badness(seen, each.state)[1][list(both)].max() < INEXACT]  # fmt: skip
+    if not found:
+        return None
+    two, likely = likeliest(found, both)
+    lower, upper = two.state.rows[list(both)]
+    rows += [spanning(row, lowest(lower), highest(upper)) for row in (lower, upper)]
+    ones = [state, *(state.changed(i, row=row, cube=False) for row in rows)]
+    one, alone = likeliest(climbed(ones, (i,)), (i,))
+    left = make_chart(state.without(i), floor, rules)
+    free = np.where(shown, smooth_surface(seen.image.depth, shown), model_depth(*left, view.camera))
+    numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
+    surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
+    return two.state if likely > max(alone, surface) else None
+
+
+def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state: State, i: int,
+           whole: list[np.ndarray], settings: Settings) -> list[State]:  # fmt: skip
+    """Return the States in which solid `i`, which shows in a mask (H, W), is two, cut at some height.
+
+    whole : rows of solids that explain all of it: of the lower one little may show.
+    """
+    heights, bottom, states = seen.points[..., 2], lowest(state.rows[i]), []
+    for cut in bottom + np.array(CUTS) * (float(np.quantile(heights[shown], 0.98)) - bottom):
+        above, below = shown & (heights > cut), shown & (heights <= cut)
+        if min(above.sum(), below.sum()) < LEFT_PIXELS:
+            continue
+        lowers = [spanning(row, bottom, cut) for row in whole]
+        there = state.changed(i, row=lowers[0], cube=False)
+        uppers = best_upright(rng, seen, there, -1, above, cut, settings)
+        lowers += best_upright(rng, taken_as_seen(seen, above), state, i, below, bottom, settings)
+        for lower, upper in product(lowers, uppers):
+            new, level = state.changed(i, row=lower, cube=False), highest(lower)
+            new.parents = [len(state) if parent == i else parent for parent in new.parents]
+            upper = spanning(upper, level, max(highest(upper), level + THINNEST))
+            states.append(new.add(upper, UPRIGHT, False, i, level))
+    return states
+
+
+def taken_as_seen(seen: Observation, mask: np.ndarray) -> Observation:
+    """Return the Observation in which what a mask (H, W) shows is explained already."""
+    floor = np.where(mask, seen.image.depth + 0.5 * AS_SEEN, seen.image.floor)
+    return seen._replace(image=seen.image._replace(floor=floor))
+
+
+def spanning(row: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return the row of an upright solid from one height to another."""
+    new = row.copy()
+    new[15], new[12] = high - low, 0.5 * (low + high)
+    return new
+
+
+def best_upright(rng: np.random.Generator, seen: Observation, state: State, i: int, shown: np.ndarray, bottom: float,
+                 settings: Settings) -> list[np.ndarray]:  # fmt: skip
+    """Return the row of the upright solid of each kind that explains a mask (H, W) best, the best first: see
+    `polished`."""
+    best: dict[float, np.ndarray] = {}
+    for _, _, row, h in polished(rng, seen, state, i, shown, bottom, settings):
+        if h.form == UPRIGHT:
+            best.setdefault(row[0], row)
+    return list(best.values())
