@@ -42,11 +42,13 @@ def load(path: str | Path) -> Scene | Document | Posterior:
 
 
 @only_its_keywords
-def sample(prior: str | Path | Document = "tabletop", *, seed: int = 0, camera: Camera | None = None) -> Scene:
+def sample(
+    prior: str | Path | Document = "tabletop", *, seed: int = 0, camera: Camera | str | Path | None = None
+) -> Scene:
     """Return a scene drawn from a prior: the one that `derender sample PRIOR --seed SEED` writes.
 
     prior : a prior file, the name of a built-in one, or what `load` returned.
-    seed : of the random numbers. camera : instead of the prior's own.
+    seed : of the random numbers. camera : or its file, instead of the prior's own.
 
     >>> import derender
     >>> derender.sample("stack", seed=3).parents["yellow"]
@@ -56,13 +58,13 @@ def sample(prior: str | Path | Document = "tabletop", *, seed: int = 0, camera: 
 
     document = prior if isinstance(prior, Document) else read_prior_document(prior)
     (drawn,) = draw_documents(document, 1, seed, {})
-    return Scene(drawn.graph, camera or drawn.camera, drawn.likelihood)
+    return Scene(drawn.graph, as_camera(camera) or drawn.camera, drawn.likelihood)
 
 
 @only_its_keywords
 def render(
     scene: Scene | SceneGraph | str | Path,
-    camera: Camera | None = None,
+    camera: Camera | str | Path | None = None,
     *,
     noise: bool = False,
     seed: int = 0,
@@ -71,7 +73,7 @@ def render(
     """Return the depth image of a scene: (H, W) float64 metres along the optical axis, NaN where nothing is hit.
 
     scene : a Scene, a scene graph or a scene file.
-    camera : instead of the scene's own; where there is neither, 160 x 120 pixels and 60 degrees.
+    camera : or its file, instead of the scene's own; where there is neither, 160 x 120 pixels and 60 degrees.
     noise : whether noise, blur and outliers are drawn from the scene's likelihood. seed : of these.
     renderer : "raycast", or "pyrender" (OpenGL).
 
@@ -84,7 +86,7 @@ def render(
     from derender.render.renderers import find_renderer
 
     scene = as_scene(scene)
-    camera = camera or scene.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
+    camera = as_camera(camera) or scene.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
     depth, _ = find_renderer(renderer).render_depth(scene.graph.solids(), camera)
     if noise:
         depth = observe(np.random.default_rng(seed), depth, scene.likelihood)
@@ -169,6 +171,15 @@ def infer(
 
 def _warn(line: str) -> None:
     warnings.warn(line, stacklevel=4)  # where `infer` was called
+
+
+def as_camera(camera: Any) -> Camera | None:
+    """Return the Camera that a Camera or its file is; None stays."""
+    if camera is None or isinstance(camera, Camera):
+        return camera
+    if isinstance(camera, str | Path):
+        return Camera.from_file(camera)
+    raise DerenderError(f"a {type(camera).__name__} is no camera", remedy="give a Camera or its file")
 
 
 def as_scene(scene: Any) -> Scene:

@@ -89,7 +89,7 @@ class Scene:
 
         export_scene(self.graph, path, self.camera)
 
-    def render(self, camera: Camera | None = None, noise: bool = False, seed: int = 0) -> DepthImage:
+    def render(self, camera: Camera | str | Path | None = None, noise: bool = False, seed: int = 0) -> DepthImage:
         """Return its depth image; see `derender.render`."""
         from derender.interface.functions import render
 

@@ -2,6 +2,7 @@
 
 import doctest
 import importlib
+import json
 import subprocess
 import sys
 import warnings
@@ -99,6 +100,16 @@ def test_a_depth_image_of_units_is_millimetres(image):
     units = derender.DepthImage(np.nan_to_num(1000 * image.depth).round().astype(np.uint16), image.camera)
     size = derender.infer(units, quick=True).objects[0].size
     assert 0.01 < size.min() <= size.max() < 0.5
+
+
+def test_a_scene_is_seen_by_a_camera_or_its_file(tmp_path):
+    scene, camera = derender.sample("stack", seed=0), derender.Camera.from_field_of_view(32, 24)
+    (tmp_path / "camera.json").write_text(json.dumps(camera.to_dict()))
+    for given in (camera, tmp_path / "camera.json", str(tmp_path / "camera.json")):
+        assert scene.render(given).depth.shape == (24, 32)
+    assert derender.sample("stack", seed=0, camera=tmp_path / "camera.json").camera == camera
+    with pytest.raises(DerenderError, match="a float is no camera; give a Camera or its file"):
+        scene.render(60.0)
 
 
 def test_options_are_checked():
