@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from derender.cli.reading import Source
     from derender.physics.intervention import Intervention
 
-ANIMATIONS = (".gif", ".webp", ".glb")
+ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
 TABLES = (".csv", ".jsonl")
 TABLE = "many scenes make a table"
 MOST_DRAWS = 100_000
@@ -67,7 +67,7 @@ class Percent(click.ParamType):
 @click.option("--shake", metavar="2Hz:5mm[:+x]", help="Swing the floor to and fro by twice the length.")
 @click.option("--jitter", metavar="2mm,1deg", help="Displace and turn every object at random, in each draw anew.")
 @click.option("--settle", metavar="FILE.yaml", help="Write the scene as it came to rest, with its new contacts.")
-@click.option("--animate", metavar="FILE.gif", help="Draw the most probable scene as it moves (.gif .webp .glb).")
+@click.option("--animate", metavar="FILE.gif", help="Draw the most probable scene as it moves (.gif .webp .mp4 .glb).")
 @options.output("The trajectory of the most probable scene (.npz); of many scenes the table (.csv .jsonl).")
 @options.as_json
 @options.jobs
@@ -274,6 +274,10 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
     """Refuse files that could not be written, before anything is computed."""
     if animate is not None and Path(animate).suffix.lower() not in ANIMATIONS:
         raise DerenderError("not the name of an animation", animate, "choose from " + " ".join(ANIMATIONS))
+    if animate is not None and Path(animate).suffix.lower() == ".mp4":
+        from derender.report.animation import film_writer
+
+        film_writer(animate)
     if settle is not None and Path(settle).suffix.lower() not in (".yaml", ".yml"):
         raise DerenderError("a scene is written as .yaml", settle, "give a name that ends in .yaml")
     if many and (animate or settle):

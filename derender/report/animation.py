@@ -1,11 +1,14 @@
 """A trajectory as a moving picture."""
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
 
 from derender.atomic import atomic_path, write_bytes
 from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
 from derender.physics.verdict import Trajectory
 from derender.report.pictures import colours_of
 from derender.scene.graph import SceneGraph
@@ -24,8 +27,7 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     from derender.render.raycast.depth import render_depth
     from derender.render.renderers.preview import draw_preview, enlarged
 
-    small = camera.width < WIDTH
-    eye = enlarged(camera, round(WIDTH / camera.width)) if small else camera.downscaled(camera.width // WIDTH)
+    eye = enlarged(camera, max(1, round(WIDTH / camera.width))) if camera.width < WIDTH else _reduced(camera)
     moving = [k for k, name in enumerate(trajectory.names) if name in names]
     index = [names.index(trajectory.names[k]) for k in moving]
     duration = float(trajectory.times[-1])
@@ -45,7 +47,10 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
 
 
 def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera: Camera | None) -> None:
-    """Write how a scene moves, by the suffix: a picture seen by its camera (.gif, .webp), or .glb in 3-D."""
+    """Write how a scene moves, by the suffix: a picture seen by its camera (.gif, .webp, .mp4), or .glb in 3-D.
+
+    Raises DerenderError : .mp4 where there is no ffmpeg, or one that fails.
+    """
     path = Path(path)
     if path.suffix.lower() == ".glb":
         from derender.report.export import glb_bytes
@@ -63,9 +68,42 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
 
 
 def write_animation(path: str | Path, pictures: list[np.ndarray]) -> None:
-    """Write a GIF, or WebP by the suffix, that repeats after a pause at its end."""
+    """Write a GIF, or WebP or MP4 by the suffix; the first two repeat after a pause at their end."""
     import imageio.v3 as imageio
 
+    if Path(path).suffix.lower() == ".mp4":
+        _write_film(Path(path), np.stack(pictures))
+        return
     pause = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
     with atomic_path(path) as temporary:
         imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=pause, loop=0)
+
+
+def film_writer(path: str | Path) -> str:
+    """Return the program that writes films; DerenderError where there is none."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise DerenderError("films need ffmpeg, which is not here", path, "install ffmpeg, or write .gif or .webp")
+    return program
+
+
+def _write_film(path: Path, pictures: np.ndarray) -> None:
+    """Write pictures (T, height, width, 3) uint8 as H.264, by ffmpeg."""
+    program = film_writer(path)
+    pictures = pictures[:, : pictures.shape[1] // 2 * 2, : pictures.shape[2] // 2 * 2]
+    size = f"{pictures.shape[2]}x{pictures.shape[1]}"
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
+    with atomic_path(path) as temporary:
+        wanted = ["-pix_fmt", "yuv420p", "-f", "mp4", str(temporary)]
+        command = [program, "-v", "error", "-y", *given, *wanted]
+        run = subprocess.run(command, input=pictures.tobytes(), check=False, capture_output=True)
+        if run.returncode:
+            said = run.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {run.returncode}"]
+            raise DerenderError(
+                f"ffmpeg failed: {said[-1]}", path, "install an ffmpeg with H.264, or write .gif or .webp"
+            )
+
+
+def _reduced(camera: Camera) -> Camera:
+    factor = max(1, camera.width // WIDTH)
+    return camera.downscaled(factor) if factor > 1 else camera

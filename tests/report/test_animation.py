@@ -1,12 +1,16 @@
-"""Moving pictures: what does not move is drawn once."""
+"""Films: what does not move is drawn once; those that ffmpeg cannot write are one line, and leave nothing."""
+
+import shutil
 
 import numpy as np
+import pytest
 from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
 from derender.physics.verdict import Trajectory
 from derender.render.renderers import preview
-from derender.report.animation import frames
+from derender.report.animation import frames, write_animation
 
 
 def test_what_does_not_move_is_drawn_once(monkeypatch):
@@ -20,3 +24,13 @@ def test_what_does_not_move_is_drawn_once(monkeypatch):
     trajectory = Trajectory(("red",), np.full((1, 3), 0.1), times, poses)
     pictures = frames(solids, graph.solid_names, trajectory, Camera.from_field_of_view(320, 240))
     assert len(pictures) == 21 and len(drawn) == 4
+
+
+def test_an_ffmpeg_that_fails_is_one_line(tmp_path, monkeypatch):
+    broken = shutil.which("false")
+    if broken is None:
+        pytest.skip("there is no program that fails here")
+    monkeypatch.setattr("shutil.which", lambda name: broken)
+    with pytest.raises(DerenderError, match="ffmpeg failed: exit status 1"):
+        write_animation(tmp_path / "x.mp4", [np.zeros((4, 4, 3), np.uint8)] * 2)
+    assert not list(tmp_path.iterdir())
