@@ -126,9 +126,10 @@ SLOPING = 0.004  # share of the depth by which a surface may go on beside all th
 # Standard deviations of a blur, rounded up to pixels, beyond which a pixel shows less than 2 % of a jump's other side;
 # and those of the noise by which three pixels in line are bent at a jump: five times sqrt(6), what noise alone makes.
 MIXED, JUMP = 1.5, 12.0
-# The widest blur that is undone, in pixels: it more than doubles noise, which a wider one multiplies; rounds in which
-# leaks are told by what is smoothed, and in which the blur is told by what leaks still (each leaves a sixth of it).
-MOST_UNMIXED, SMOOTHED, REFITTED = 0.55, 2, 2
+# The widest blur that is undone, in pixels: it more than doubles noise, which a wider one multiplies; pixels from which
+# on one tells less than 3e-6 of that; rounds in which leaks are told by what is smoothed, and in which the blur is told
+# by what leaks still (each leaves a sixth of it).
+MOST_UNMIXED, REACH, SMOOTHED, REFITTED = 0.55, 8, 2, 2
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
@@ -338,8 +339,8 @@ def unmixed(depth: np.ndarray, beside: np.ndarray, blurred: float, sigma: float)
 
 def without_leaks(seen: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
     """Return an image (H, W) less what a blur of so many pixels leaked into each from others; sigma : of its noise."""
-    along, down = (blur_along(np.eye(length), blur_taps(blurred), 0) for length in seen.shape[::-1])
-    sharp, quiet = np.linalg.solve(down, np.linalg.solve(along, seen.T).T), seen
+    undone = np.linalg.inv(blur_along(np.eye(2 * REACH + 1), blur_taps(blurred), 0))[REACH, REACH:]
+    sharp, quiet = blur_along(blur_along(seen, undone, 0), undone, 1), seen
     for _ in range(SMOOTHED):
         smooth = smoothed(sharp, quiet, sigma)
         sharp = quiet = seen - (blur(smooth, blurred) - smooth)
