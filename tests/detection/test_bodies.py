@@ -89,6 +89,14 @@ def test_a_tilted_face_suggests_a_board_whose_foot_is_hidden():
     assert min(np.linalg.norm(row[10:13] - centre) for row in suggested) < 0.006
 
 
+@pytest.mark.parametrize("count", range(1, 6))
+def test_so_few_points_that_they_lie_in_many_planes_suggest_solids_too(count):
+    """What is left unexplained of an image may show in two pixels: the plane of half of them was asked for."""
+    points = np.random.default_rng(count).uniform(0.0, 0.02, (count, 3))
+    kinds = {int(h.row[0]) for h in body_hypotheses(points, np.array([0.0, -1.0, 0.8]), SHAPES)}
+    assert kinds >= {BOX, CYLINDER}
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_small_round_solids_far_off_are_found(seed):
     """No patch of eight pixels on a plane shows there; what shape shows in so few the weighing tells."""

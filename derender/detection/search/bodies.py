@@ -166,6 +166,8 @@ def leaning_boards(points: np.ndarray, origin: np.ndarray, bottom: float) -> Ite
 
     Seen at a grazing angle it has no patch, and of one patch boxes are guessed as deep as it is wide.
     """
+    if len(points) < FEWEST:  # of fewer, half lie in many planes
+        return
     off = np.zeros(len(points))
     for _ in range(2):  # the second time without those that are farthest off: pixels on its edges
         near = points[off <= np.median(off)]
