@@ -93,7 +93,7 @@ def refitted(mixture: Mixture, points: np.ndarray, under: np.ndarray, weights: n
     under : see `Mixture.draw`.
     """
     most = np.partition(weights, -CUT - 1)[-CUT - 1]
-    weights = np.minimum(weights, most) if most > 0.0 else weights  # in a first round a few would have it all
+    weights = np.minimum(weights, most) / most if most > 0.0 else weights  # in a first round a few would have it all
     worth = worth_of(weights)
     each = np.exp(under - np.logaddexp.reduce(under, axis=0)) * weights / weights.sum()
     means, spreads = mixture.means.copy(), mixture.spreads.copy()

@@ -75,6 +75,15 @@ def test_modes_that_a_chain_met_out_of_proportion_count_as_they_are():
     assert np.all(np.abs(off) < 4.0 * stated + 0.02) and np.sqrt(np.mean(off**2)) < 0.2
 
 
+def test_a_round_in_which_a_few_points_have_all_the_weight_can_be_fitted():
+    """The sixth largest of 1e-200, to which weights are cut, had no square: shares were no numbers."""
+    rng = np.random.default_rng(3)
+    mixture = module.about(rng.standard_normal((DRAWS, SIZE)))
+    points, under = mixture.draw(rng, 200)
+    fitted = module.refitted(mixture, points, under, np.array([1.0, *np.full(199, 1e-200)]))
+    assert fitted.shares.sum() == pytest.approx(1.0) and np.isfinite(fitted.spreads).all()
+
+
 def test_what_is_impossible_everywhere_has_no_integral():
     draws = np.random.default_rng(1).random((50, 2))
     found = evidence(np.random.default_rng(0), lambda p: np.full(len(p), -np.inf), draws)
