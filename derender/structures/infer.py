@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -131,8 +132,8 @@ def searched(rng: np.random.Generator, case: Case, pool: list[tuple[State, float
 
     state, seen = point_estimate(rng, case.depth, case.camera, case.settings, pool=pool, plane=case.plane)
     settings = settings_for(case.settings, seen)
-    try:
-        seen, state = with_stacks(rng, seen, state, settings)
+    try:  # with numbers of its own: where it finds none, all else is as without it
+        seen, state = with_stacks(deepcopy(rng), seen, state, settings)
     except KeyboardInterrupt:
         seen = seen._replace(interrupted=True)
     say(0.6, f"{len(state)} solids; sampling")
