@@ -57,24 +57,25 @@ def with_stacks(
     refined = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, 1)
     if len(refined.state) != len(state):
         return seen, state
-    things, state = [], refined.state
+    things, found = [], refined.state
     for thing in seen.things:
         there, bottom = seen._replace(image=without_thing(seen.image, thing)), lowest(thing.row)
-        one = state.add(thing.row, UPRIGHT, False, thing.parent, bottom)
-        two = as_stack(rng, there, refined, one, len(state), thing.mask, settings)
+        one = found.add(thing.row, UPRIGHT, False, thing.parent, bottom)
+        two = as_stack(rng, there, refined, one, len(found), thing.mask, settings)
         if two is None:
             things.append(thing)
         else:
-            seen, state = there, two
+            seen, found = there, two
     for k in looked_at:
-        two = as_stack(rng, seen, refined, state, k, label == k, settings)
-        state = state if two is None else two
-    state.parents = final_parents(state)
-    order = state.in_order()
+        two = as_stack(rng, seen, refined, found, k, label == k, settings)
+        found = found if two is None else two
+    if len(found) == len(state):
+        return seen, state
+    found.parents = final_parents(found)
+    order = found.in_order()
     things = [each._replace(parent=order.index(each.parent) if each.parent in order else each.parent)
               for each in things]  # fmt: skip
-    seen, found = seen._replace(things=tuple(things)), state.ordered()
-    return (seen, found) if len(found) == len(refined.state) else with_stacks(rng, seen, found, settings)
+    return with_stacks(rng, seen._replace(things=tuple(things)), found.ordered(), settings)
 
 
 def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:
