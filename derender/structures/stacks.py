@@ -3,8 +3,9 @@
 Where neighbouring pixels share noise the search asks of each solid what small ones cannot pay, and tells a stack as one
 solid or thing. Here all three are weighed as the posterior weighs them: solids by near integrals of prior times
 likelihood, a free-form surface by the likelihood of what is seen there less what its numbers cost. Of real things,
-which are no such solids exactly, two explain more than one, too: a bottle or a book stays one, for two that are taken
-in its place have to be off the image no farther than INEXACT says.
+which are no such solids exactly, two explain more than one, too (3 to 34 nats in nine of 45 images, stacks of made
+sensors 21 to 450): a bottle or a book stays one, for the second has to gain what the search asks of any solid, and both
+have to be off the image no farther than INEXACT says.
 """
 
 from itertools import product
@@ -131,7 +132,8 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     free = np.where(shown, smooth_surface(seen.image.depth, shown), model_depth(*left, view.camera))
     numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
     surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
-    return two.state if likely > max(alone, surface) else None
+    asked = settings.price / settings.temper  # of a solid, in nats of the likelihood
+    return two.state if likely > max(alone, surface) + asked else None
 
 
 def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state: State, i: int,
