@@ -12,8 +12,10 @@ from itertools import product
 
 import numpy as np
 
+from derender.detection.compounds import neck
 from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, polished, without_thing
 from derender.detection.search.greedy import Settings
+from derender.detection.search.moves import ALIGNED, alignment, extents_along
 from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import AS_SEEN
@@ -22,6 +24,7 @@ from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import final_parents
 from derender.detection.things import THINNEST, cost_of
 from derender.results.fit import smooth_surface
+from derender.scene.solids import BOX
 from derender.structures.alternatives import QUICK, unclimbed
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.refined import (
@@ -39,6 +42,7 @@ from derender.structures.draws.sensor import model_depth
 # Times as far as half of the floor's pixels are off it half of those of a solid are that may be two, at least; and of
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
 EXACT, INEXACT = 1.1, 2.0
+FLUSH = 0.004  # metres by which sides that are flush are seen apart: real sensors' faces are off by some 3 mm
 TRIED = 2  # of the stacks of each pair of kinds that are climbed
 CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is cut in two
 
@@ -133,7 +137,22 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
     surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
     asked = settings.price / settings.temper  # of a solid, in nats of the likelihood
-    return two.state if likely > max(alone, surface) + asked else None
+    return (
+        two.state
+        if likely > max(alone, surface) + asked and not parts_of_one(two.state, i, FLUSH * seen.scale)
+        else None
+    )
+
+
+def parts_of_one(state: State, i: int, flush: float) -> bool:
+    """Whether solid `i` and the last one, which stands on it, rather are one thing: a bottle and its neck, or an L, two
+    boxes whose sides meet on three sides to within `flush`, which it would be a chance if two did."""
+    lower, upper = state.rows[i], state.rows[-1]
+    if int(lower[0]) != BOX or int(upper[0]) != BOX:
+        return neck(state) == (len(state) - 1, i)
+    low, high = extents_along(lower, upper)
+    apart = np.abs([low + 0.5 * lower[13:16], high - 0.5 * lower[13:16]])[:, :2]
+    return bool(alignment(lower, upper) > ALIGNED and np.count_nonzero(apart < flush) >= 3)
 
 
 def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state: State, i: int,

@@ -12,7 +12,7 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import made_thing
 from derender.scene.solids import BOX, CYLINDER, MESH
-from derender.structures.stacks import badness, with_stacks
+from derender.structures.stacks import FLUSH, badness, parts_of_one, with_stacks
 
 # A can with a box on it: of what a solid hides of another nothing shows.
 STACK = (CYLINDER, 0.0, 0.0, (0.08, 0.08, 0.06), None), (BOX, 0.01, 0.0, (0.05, 0.045, 0.11), None)
@@ -62,3 +62,19 @@ def test_what_is_one_solid_or_no_solid_stays_so():
     seen, settings = seen_by_a_sensor((MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl()))
     left, found = with_stacks(np.random.default_rng(0), *as_thing(seen), settings)
     assert len(left.things) == 1 and len(found) == 0
+
+
+def test_a_bottle_s_neck_and_an_l_s_arms_are_parts_of_one():
+    """Two such solids explain a bottle, or an L, better than any one does, and are none for that."""
+
+    def one(kind, lower, upper, x):
+        rows = [make_row(kind, np.eye(3), np.array([along, 0.0, high + 0.5 * size[2]]), np.array(size))
+                for along, high, size in ((0.0, 0.0, lower), (x, lower[2], upper))]  # fmt: skip
+        state = State().add(rows[0], UPRIGHT, False, FLOOR, 0.0).add(rows[1], UPRIGHT, False, 0, lower[2])
+        return parts_of_one(state, 0, FLUSH)
+
+    can = (0.08, 0.08, 0.1)
+    assert one(CYLINDER, can, (0.03, 0.03, 0.06), 0.002) and not one(CYLINDER, can, (0.03, 0.03, 0.06), 0.025)
+    assert not one(CYLINDER, can, (0.06, 0.06, 0.06), 0.0)
+    foot = (0.08, 0.045, 0.03)
+    assert one(BOX, foot, (0.03, 0.045, 0.05), 0.024) and not one(BOX, foot, (0.03, 0.045, 0.05), 0.012)
