@@ -42,9 +42,8 @@ ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 80, 50.0,
 FEWEST = 0.1
 KEPT = 1000
 
-Component = tuple[
-    np.ndarray, np.ndarray
-]  # of a proposal: a t's centre (D,) and the Cholesky factor (D, D) of its scale
+# Of a proposal: a t's centre (D,) and the Cholesky factor (D, D) of its scale.
+Component = tuple[np.ndarray, np.ndarray]
 
 
 class Mode(NamedTuple):
