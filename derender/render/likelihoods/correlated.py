@@ -140,26 +140,9 @@ class Correlated(Likelihood):
 
     def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
-        model, shape = blurred_depth(depth, values), depth.shape
-        spread = values["sigma"] + values["sigma_growth"] * model**2
-        outliers = rng.random(shape) < values["outlier"]
-        anew = model + spread * rng.standard_normal(shape)
-        anew = np.where(outliers, rng.uniform(values["near"], values["far"], shape), anew)
-        noise = rng.standard_normal(shape) * np.where(rng.random(shape) < values["tail"], WIDER, 1.0)
-        names = ("sigma", "sigma_growth", "step", "step_growth", "shared", "clump", "outlier", "near", "far")
-        result, numbers = np.zeros([side + 4 for side in shape]), np.array([values[name] for name in names])
-        weights, deviations = prediction(values)
-        draw(
-            result,
-            model,
-            anew,
-            rng.random((3, *shape)),
-            noise,
-            rng.standard_t(3.0, shape),
-            numbers,
-            weights,
-            deviations,
-        )
+        names = ("sigma", "sigma_growth", "step", "step_growth", "shared", "clump", "outlier", "near", "far", "tail")
+        result, numbers = np.zeros([side + 4 for side in depth.shape]), np.array([values[name] for name in names])
+        draw(rng, result, blurred_depth(depth, values), numbers, *prediction(values))
         result = result[2:-2, 2:-2]
         return np.where(result > 0.0, result, np.nan)
 
@@ -231,42 +214,38 @@ def go_on(depths, numbers, weights, deviations, density, below):
 
 
 @njit(cache=True, nogil=True)
-def draw(result, model, anew, chance, noise, heavy, numbers, weights, deviations):
+def draw(rng, result, model, numbers, weights, deviations):
     """Write depths into `result` (H + 4, W + 4), two pixels wider than the image all round, in order of reading.
 
-    model : (H, W) metres; anew : what pixels that do not go on have. chance : (3, H, W), uniform. noise : (H, W),
-    innovations; heavy : Student's. numbers : sigma, sigma_growth, step, step_growth, shared, clump, outlier, near, far.
+    model : (H, W) metres. numbers : sigma, sigma_growth, step, step_growth, shared, clump, outlier, near, far, tail.
     """
-    sigma, growth, step, step_growth, shared, clump, outlier, near, far = numbers
-    for row in range(noise.shape[0]):
-        for column in range(noise.shape[1]):
-            drawn, count, shows = anew[row, column], 0, 0.0
-            for up, left in ((0, 1), (1, 0)):
-                there = result[row + 2 - up, column + 2 - left]
-                if there > 0.0:
-                    m = model[row - up, column - left]
-                    spread = sigma + growth * m * m
-                    surface = (1.0 - outlier) * math.exp(-0.5 * ((there - m) / spread) ** 2)
-                    surface /= spread * math.sqrt(2.0 * math.pi)
-                    count, shows = (
-                        count + 1,
-                        shows + surface / (surface + (outlier / (far - near) if near <= there <= far else NOWHERE)),
-                    )
-            if count and chance[0, row, column] < clump + (shared - clump) * shows / count:
-                mean, off = predicted(result, row + 2, column + 2, weights, deviations, step, step_growth)
-                drawn = mean + off * noise[row, column]
-                if chance[1, row, column] < ALONE:
-                    count = 0
-                    for k in range(4):
-                        count += result[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]] > 0.0
-                    chosen = int(chance[2, row, column] * count)
-                    for k in range(4):
-                        at = result[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]]
-                        if at > 0.0:
-                            there = at if chosen == 0 else there
-                            chosen -= 1
-                    drawn = there + heavy[row, column] * WIDER * (step + step_growth * there * there)
-            result[row + 2, column + 2] = max(drawn, 0.0)
+    sigma, growth, step, step_growth, shared, clump, outlier, near, far, tail = numbers
+    shows = np.zeros(result.shape)  # how probably a pixel that returned shows its surface
+    for row in range(2, result.shape[0] - 2):
+        for column in range(2, result.shape[1] - 2):
+            m = model[row - 2, column - 2]
+            spread, count, before = sigma + growth * m * m, 0, 0.0
+            for up, left in NEIGHBOURS[:2]:
+                if result[row - up, column - left] > 0.0:
+                    count, before = count + 1, before + shows[row - up, column - left]
+            if not count or rng.random() >= clump + (shared - clump) * before / count:
+                drawn = rng.uniform(near, far) if rng.random() < outlier else m + spread * rng.standard_normal()
+            elif rng.random() >= ALONE:
+                mean, off = predicted(result, row, column, weights, deviations, step, step_growth)
+                drawn = mean + off * rng.standard_normal() * (WIDER if rng.random() < tail else 1.0)
+            else:
+                count = 0
+                for up, left in NEIGHBOURS[:4]:  # any of those that returned, as probably as another
+                    if result[row - up, column - left] > 0.0:
+                        count += 1
+                        if rng.random() * count < 1.0:
+                            there = result[row - up, column - left]
+                drawn = there + rng.standard_t(3.0) * WIDER * (step + step_growth * there * there)
+            if drawn > 0.0:
+                result[row, column] = drawn
+                surface = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi))
+                surface *= math.exp(-0.5 * ((drawn - m) / spread) ** 2)
+                shows[row, column] = surface / (surface + (outlier / (far - near) if near <= drawn <= far else NOWHERE))
 
 
 def covariance(rows: np.ndarray, columns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
