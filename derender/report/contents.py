@@ -88,7 +88,8 @@ def report_of(
             told = posterior.explanation.depth
         uneven = 0.0 if posterior is None else posterior.meta.get("noise", 0.0)
         fit = fit_of(graph, camera, observed, likelihood or {}, told, uneven)
-        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}))
+        spots = () if posterior is None else posterior.meta.get("spots", ())
+        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})
     scene = scene_json(graph, posterior)

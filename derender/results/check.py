@@ -8,7 +8,7 @@ tell, those between the faces of boxes and the floor: a plane whose inverse dept
 has its normal along (a f, b f, c), and seen with a wrong f they are not right.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -109,13 +109,19 @@ NOISY = 4.0  # times the noise of flat patches, from which on a fitted noise hid
 
 
 def check_fit(
-    graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray, likelihood: Mapping[str, Any]
+    graph: "SceneGraph",
+    fit: Fit,
+    camera: Camera,
+    observed: np.ndarray,
+    likelihood: Mapping[str, Any],
+    spots: Sequence[Sequence[float]] = (),
 ) -> tuple[Doubt, ...]:
     """Return the doubts that an image raises about what was found in it, the serious ones first.
 
     graph : the best scene. fit : of it. camera : of the image.
     observed : (H, W) metres, NaN where nothing returned.
     likelihood : numbers of the likelihood that was fitted, by name.
+    spots : where the scene explains less than noise leaves: first and last row and column, as shares of the image.
     """
     valid = np.isfinite(observed)
     if not valid.any():
@@ -123,6 +129,7 @@ def check_fit(
     solids = solids_shown(graph, fit, valid)
     doubts = [
         *unexplained(fit, valid),
+        *nearer(spots, valid),
         *background_over_floor(graph, fit, camera, observed),
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
@@ -147,6 +154,22 @@ def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     more = f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
     serious = total > MOST_IN_ALL or found[0].share > MOST_IN_ONE
     return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, regions)]
+
+
+def nearer(spots: Sequence[Sequence[float]], valid: np.ndarray) -> list[Doubt]:
+    """Return a doubt about windows of pixels that are together farther off the scene than noise brings any of an image.
+
+    (Of 107 answers to images of white noise 15 had such: 13 of these were wrong, of the other 92 nine.)
+    """
+    regions = []
+    for letter, place in zip(LETTERS, spots, strict=False):
+        top, bottom, left, right = np.round(np.multiply(place, np.repeat(valid.shape, 2))).astype(int)
+        mask = np.zeros(valid.shape, bool)
+        mask[top:bottom, left:right] = True
+        regions.append(Region(letter, mask, float(mask[valid].mean())))
+    where = ", ".join(region.where for region in regions)
+    words = f"what is seen {where} is not where this scene has it, by more than its noise"
+    return [Doubt(words, True, tuple(regions))] if regions else []
 
 
 def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:

@@ -340,7 +340,7 @@ def _check_meta(meta: Mapping[str, Any]) -> None:
     """Refuse a camera that is none, and other kinds of values than those that are read of `meta`."""
     if "camera" in meta:
         Camera(**meta["camera"])
-    for key, kind in (("likelihood", dict), ("existence", dict), ("doubts", list)):
+    for key, kind in (("likelihood", dict), ("existence", dict), ("doubts", list), ("spots", list)):
         if not isinstance(meta.get(key, kind()), kind):
             raise DerenderError(f"its {key} is {meta[key]!r}")
 

@@ -117,14 +117,15 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     return [replace(parts[0], extras={**parts[0].extras, **extras}), *parts[1:]]
 
 
-def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
-    """Return {pixels: of each solid, how many independent ones show it; unexplained: spots left that are no noise}.
+def shown_and_left(trial: Refined) -> dict[str, list]:
+    """Return {pixels: of each solid, how many independent ones show it; spots: places of those left that are no noise}.
 
     What neighbouring pixels share is not told from noise by its spots.
     """
     shows = trial.sensor.shows
-    left = 0 if shows < 1.0 else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
-    return {"pixels": [float(shows * count) for count in pixels_of(trial)], "unexplained": left}
+    found = [] if shows < 1.0 else spots(nearer_than_explained(trial))
+    left = [spot.place for spot in found if spot.strength > SURELY]
+    return {"pixels": [float(shows * count) for count in pixels_of(trial)], "spots": left}
 
 
 class DrawsOfOne:

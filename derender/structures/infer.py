@@ -233,7 +233,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
             "other_floors": [rival._asdict() for rival in seen.rivals],
             "no_floor": seen.no_floor, "interrupted": interrupted,
             "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
-            "hidden_expected": extras.get("hidden_expected"),
+            "hidden_expected": extras.get("hidden_expected"), "spots": extras.get("spots", []),
             "likelihood": likelihood_of(parts, observations, case.depth, case.camera, settings)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=case.options.seed, meta=meta)
     graph = posterior.best_graph()
@@ -243,7 +243,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     told = explanation_of(graph, observations, case.depth, case.camera)
     believed = case.beliefs.loose.missed
     if case.library:  # of whose answers no spots are counted
-        extras = {**extras, "unexplained": int(told.share(case.depth) < believed.explained)}
+        extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}
     missed = missed_by(observations, extras, believed, told.share(case.depth))
     meta.update(missed=missed, wrong_if_missed=believed.wrong)
     return replace(
@@ -307,11 +307,11 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     another plane is the floor.
 
     observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
-        which say in how many independent pixels each solid shows, how many spots are unexplained, and whether it was
+        which say in how many independent pixels each solid shows, which spots are unexplained, and whether it was
         weighed against others at all. missed : Missed, what the prior says. explained : share of the pixels.
     """
     seen = observations[0]
-    settled = all(each.agreed for each in observations) and extras.get("unexplained", 0) == 0
+    settled = all(each.agreed for each in observations) and not extras.get("spots")
     settled = settled and bool(extras.get("weighed", True))
     whole = missed.no_floor if seen.no_floor else missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:

@@ -163,6 +163,6 @@ def periods_of(part: StructurePosterior) -> Any:
 
 def added(first: Any, second: Any) -> Any:
     """Return the extras of two planes' structures together: counts added, lists joined, the rest of the first."""
-    both = {key: first[key] + second[key] for key in ("pixels", "unexplained", "hidden_expected")
+    both = {key: first[key] + second[key] for key in ("pixels", "spots", "hidden_expected")
              if first.get(key) is not None and second.get(key) is not None}  # fmt: skip
     return {**first, **both}

@@ -44,6 +44,12 @@ class Spot(NamedTuple):
     strength: float  # standard deviations
     shown: np.ndarray  # (H, W) bool, those pixels
 
+    @property
+    def place(self) -> list[float]:
+        """The first and the last row and column of those pixels, as shares of the image's height and width."""
+        ends = np.array([[each.min(), each.max() + 1] for each in np.nonzero(self.shown)])
+        return (ends / np.array(self.shown.shape)[:, None]).ravel().tolist()
+
 
 def nearer_than_explained(best: Refined) -> np.ndarray:
     """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return."""

@@ -53,6 +53,16 @@ def test_a_thing_that_was_missed_is_told_and_where():
     assert judgement([doubt]) == {"trusted": False, "doubts": [doubt.words]}
 
 
+def test_windows_that_noise_does_not_explain_are_told():
+    """A quick search built five boxes of four, none off by more than a sensor may be: it was trusted on its fit."""
+    seen = image(TRUE)
+    (doubt,) = check_fit(
+        TRUE, fit_of(TRUE, CAMERA, seen, LIKELIHOOD), CAMERA, seen, LIKELIHOOD, [[0.4, 0.5, 0.75, 0.8]]
+    )
+    assert doubt.serious and doubt.words.startswith("what is seen right of the middle is not where this scene has it")
+    assert doubt.regions[0].mask.sum() == 12 * 8 and doubt.regions[0].mask[48:60, 120:128].all()
+
+
 def test_a_solid_that_is_not_there_is_told():
     (doubt,) = [d for d in doubts_of(TRUE, image(TRUE.remove("right"))) if d.words.startswith("right ")]
     assert doubt.serious and "explains" in doubt.words

@@ -15,6 +15,7 @@ from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX
 from derender.structures.alternatives import QUICK, weighed_whole
 from derender.structures.draws.refined import at_mode, pixels_of
+from derender.structures.graph_posterior import shown_and_left
 from derender.structures.infer import missed_by
 from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
 
@@ -54,6 +55,9 @@ def test_a_solid_that_shows_in_a_few_pixels_is_proposed_and_wins():
     assert additions(rng, whole, Settings()) == []
     assert additions(rng, best, Settings(max_objects=1)) == []
     assert additions(rng, best, Settings(reduced=True)) == []
+    (place,) = shown_and_left(best)["spots"]  # the doubt about an answer without it says where it is
+    np.testing.assert_allclose(place, [0.45, 0.6, 0.7, 0.85], atol=0.2)
+    assert shown_and_left(whole)["spots"] == []
 
 
 def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):
@@ -108,17 +112,17 @@ def test_no_answer_is_surer_than_the_search():
     missed = bare_image().loose.missed
 
     def told(part=None, explained=1.0, **seen):
-        part = {"unexplained": 0, "pixels": [300.0]} if part is None else part
+        part = {"spots": [], "pixels": [300.0]} if part is None else part
         seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, "rivals": (), **seen})
         return missed_by((seen,), part, missed, explained)
 
     assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()
-    assert told({"unexplained": 1, "pixels": [300.0]}) == pytest.approx(missed.open, abs=1e-6)
+    assert told({"spots": [[0.1, 0.2, 0.5, 0.6]], "pixels": [300.0]}) == pytest.approx(missed.open, abs=1e-6)
     assert told({"pixels": [300.0], "weighed": False}) == pytest.approx(missed.open, abs=1e-6)  # by --method map
     assert told(agreed=False) == pytest.approx(missed.open, abs=1e-6)
     assert told(no_floor=True) == pytest.approx(missed.no_floor, abs=1e-6) and missed.no_floor > missed.open
     one = missed.few * np.exp(-30.0 / missed.pixels)
-    several = told({"unexplained": 0, "pixels": [30.0, 300.0, 30.0]})
+    several = told({"spots": [], "pixels": [30.0, 300.0, 30.0]})
     assert several == pytest.approx(1.0 - (1.0 - missed.settled) * (1.0 - one) ** 2, abs=1e-6)
     assert told(correlation=0.9) == pytest.approx(missed.sensor, abs=1e-6)
     assert told(correlation=0.9, explained=1.0 - missed.unexplained) == pytest.approx(
