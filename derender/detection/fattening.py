@@ -36,13 +36,13 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
         inverse = np.where(depth > 0.0, 1.0 / depth, np.nan)  # of a plane it is affine
         for image in (inverse, inverse[::-1], inverse.T, inverse.T[::-1]):
             first, last = int(INSIDE[-1]), len(image) - 1
-            edge = image[first:last]
-            inner = np.stack([image[first - int(k) : last - int(k)] for k in INSIDE]) / edge
-            middle, slope = inner.mean(axis=0), np.tensordot(away, inner, 1) / (away @ away)
-            rough = np.mean((inner - middle - slope * away[:, None, None]) ** 2, axis=0)
-            rise = image[first - within : last - within] / edge - middle + slope * (INSIDE.mean() - within)
-            told = np.stack([slope, np.tensordot(BENT, inner, 1), rise, rough])
-            found.append(told[:, (image[first + 1 :] < (1.0 - JUMP) * edge) & np.isfinite(slope)])
+            row, column = np.nonzero(image[first + 1 :] < (1.0 - JUMP) * image[first:last])
+            edge, row = image[row + first, column], row + first
+            inner = np.stack([image[row - int(k), column] for k in INSIDE]) / edge
+            middle, slope = inner.mean(axis=0), away @ inner / (away @ away)
+            rough = np.mean((inner - middle - slope * away[:, None]) ** 2, axis=0)
+            rise = image[row - within, column] / edge - middle + slope * (INSIDE.mean() - within)
+            found.append(np.stack([slope, BENT @ inner, rise, rough])[:, np.isfinite(slope)])
     slope, bent, rise, rough = np.concatenate(found, axis=1)
     good = (np.abs(slope) > SLOPES[0]) & (np.abs(slope) < SLOPES[1]) & (np.abs(rise) < JUMP)
     if good.any():

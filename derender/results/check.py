@@ -193,12 +193,12 @@ def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observe
     points, over = camera.points(observed), np.zeros(observed.shape, bool)
     for pose in (poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None):
         shown = coherent(valid & fit.explained & (fit.label == 0), valid)
-        local = (points - pose[:3, 3]) @ pose[:3, :3]
-        corners = convex_outline(local[shown[0].mask][:, :2]) if shown else None
+        above = fit.background & ((points - pose[:3, 3]) @ pose[:3, 2] > fit.tolerance)
+        corners = convex_outline((points[shown[0].mask] - pose[:3, 3]) @ pose[:3, :2]) if shown else None
         if corners is not None:
             sides = outline_planes(corners)
-            inside = (local[..., :2] @ sides[:, :2].T + sides[:, 2]).max(axis=-1) < -RIM
-            over |= fit.background & inside & (local[..., 2] > fit.tolerance)
+            beyond = (points[above] - pose[:3, 3]) @ pose[:3, :2] @ sides[:, :2].T + sides[:, 2]
+            over[above] |= beyond.max(axis=1) < -RIM
     regions = tuple(region for region in coherent(over, valid) if region.share > MOST_OVER)
     words = ", ".join(f"{percent(region.share)} of the image {region.where}" for region in regions)
     return [Doubt(f"what stands over the floor is taken as background: {words}", True, regions)] if regions else []
