@@ -12,8 +12,8 @@ from derender.document import read_document
 from derender.physics.bodies import matter_of_graph
 from derender.physics.outcome import probability
 from derender.physics.simulate import judge, simulate
+from derender.posterior.ascent import MapProblem
 from derender.posterior.forward import draw_documents, observe
-from derender.posterior.map import MapProblem
 from derender.posterior.sampler import read_settings
 from derender.render.raycast.depth import render_depth
 from derender.report.animation import frames
@@ -86,14 +86,9 @@ def figure_5(path: Path, seed: int) -> Rows:
     scene = MapProblem(truth.graph, ADDRESSES, camera, depth, sigma=numbers["sigma"], blur=numbers["blur"],
                        background=numbers["background"])  # fmt: skip
     starts = scene.random_starts(np.random.default_rng(seed), ASCENTS)
-    fixed = scene.maximise(starts, "gradient", iterations=30, step=STEP_LENGTH)
-    steps = [(found.path, -found.log_densities) for found in fixed]
-    ends = scene.maximise(starts, iterations=15, tolerance=1e-3)
-    newton = [
-        (np.vstack([start, found.path]), -np.array([scene.log_density(start), *found.log_densities]))
-        for start, found in zip(starts, ends, strict=True)
-    ]
-    best = -scene.maximise(scene.values, iterations=15, tolerance=1e-3, explore=False)[0].log_density
+    steps = [scene.maximise(start, "gradient", iterations=30, step=STEP_LENGTH) for start in starts]
+    newton = [scene.maximise(start, iterations=15, tolerance=1e-3) for start in starts]
+    best = scene.maximise(scene.values, iterations=15, tolerance=1e-3).costs[-1]
     # Two nats for each of three parameters: where a posterior's draws are, an optimum is found.
     found = [int(np.argmax(costs < best + 6)) if costs.min() < best + 6 else None for _, costs in newton]
     climbed = [costs[min(12, len(costs) - 1)] for _, costs in steps]
@@ -104,9 +99,7 @@ def figure_5(path: Path, seed: int) -> Rows:
     for place, number in enumerate(SHOWN_STEPS):
         graph = scene.scene(steps[shown][0][number])
         show(figure.add_subplot(grid[0, 1 + place]), picture(graph, camera), f"t = {number} steps", "#3060d0")
-    for place, (runs, words) in enumerate(
-        ((steps, f"fixed steps of {STEP_LENGTH}"), (newton, "lattice and Gauss-Newton"))
-    ):
+    for place, (runs, words) in enumerate(((steps, f"fixed steps of {STEP_LENGTH}"), (newton, "Gauss-Newton"))):
         axes = figure.add_subplot(grid[1, :3] if place == 0 else grid[1, 3:])
         for number, (_, costs) in enumerate(runs):
             axes.plot(best - costs, lw=2.2 if number == shown else 1.1)

@@ -1,4 +1,8 @@
-"""Ascent of the likelihood of one structure: Levenberg-Marquardt and the paper's fixed steps, on Eqs. 7-9.
+"""Maximum a posteriori estimation of the numbers of a scene graph whose structure is given (A.3, Eqs. 7-9, Figure 5).
+
+Any scene is led to its mode by a walk ever colder (`cooled`); where none of its solids is a mesh, two ways lead on.
+`gauss-newton` (the default): Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the
+paper's steps of fixed length. Both keep every state inside the domain, angles going round their period.
 
 Eq. 7-9: a contact's parameter moves the vertex and all that descends from it by one rigid motion. The motions are found
 by central differences of Eq. 1 itself (numbers of order one in float64: exact to 1e-9), so that every contact type,
@@ -11,19 +15,26 @@ derivatives; the few steps on the way are not compiled.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.errors import DerenderError
+from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.evaluate import place as place_vertex
 from derender.posterior.compiled.model import NotCompiled, numbers_of, vertices_of
 from derender.posterior.compiled.prior import NEXT, SHAPES, SIZES, SOLID
+from derender.posterior.kernels.base import first_tuning, mixture, rescale
 from derender.registry import suggest
-from derender.render.raycast.normal_equations import MOTION, Misfit, cost, normal_equations
+from derender.render.blur import blur_taps
+from derender.render.raycast.normal_equations import MOTION, Misfit, cost, new_misfit, normal_equations
 from derender.scene.graph import SceneGraph
 from derender.scene.shapes import shapes
+from derender.scene.solids import MESH
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 
 class Domain(NamedTuple):
@@ -235,10 +246,10 @@ class Cost:
 
 
 class Ascent(NamedTuple):
-    """path : (T + 1, P) the states on the way, from the start in the domain on. costs : (T + 1,) theirs."""
+    """Where an ascent went."""
 
-    path: np.ndarray
-    costs: np.ndarray
+    path: np.ndarray  # (T + 1, P) the states on the way, from the start in the domain on
+    costs: np.ndarray  # (T + 1,) theirs: minus their log densities, up to a constant
 
 
 def levenberg(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, tolerance: float) -> Ascent:
@@ -298,3 +309,153 @@ def fixed_steps(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, 
             break
         path.append(domain.bring(values - length * scale * gradient / steepness))
     return Ascent(np.array(path[: len(costs)]), np.array(costs))
+
+
+METHODS = ("gauss-newton", "gradient", "finite-difference")  # the last: the second, by a derivative that is not exact
+COLDER = tuple(2.0 ** np.arange(0.0, 10.0, 0.5))  # what the likelihood is raised to, one after the other
+COLD_STEPS, GAIN = 100, 3.0  # at each, of each block of unknowns; of their scales for a rate wrong by 1
+DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
+
+
+class MapProblem:
+    """The posterior density of some numbers of a scene graph given one depth image, and ways to its top.
+
+    graph : SceneGraph with compiled contacts. addresses : the free numbers, such as "red.contact.theta", "red.side".
+    camera : Camera. observed : (height, width) metres, NaN or 0 where nothing returned.
+    sigma : metres, a number or (height, width). blur : pixels. background : metres where nothing is hit (Eq. 6).
+    limit : nats at which a pixel counts as an outlier; infinite for Eq. 6 itself.
+    ranges : {address: (lower, upper)} narrower than the parameters' own; an angle so given no longer goes round. Priors
+        are uniform in these ranges.
+    edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
+
+    Raises DerenderError : an unknown address, a contact type without compiled form.
+    """
+
+    def __init__(
+        self,
+        graph: SceneGraph,
+        addresses: Sequence[str],
+        camera: "Camera",
+        observed: np.ndarray,
+        *,
+        sigma: float = 0.005,
+        blur: float = 1.0,
+        background: float = 10.0,
+        limit: float = math.inf,
+        ranges: dict[str, tuple[float, float]] | None = None,
+        edges: bool = True,
+    ) -> None:
+        self.graph, self.addresses = graph, tuple(addresses)
+        self.placement, self.values, self.domain = new_placement(graph, self.addresses)
+        count = len(self.addresses)
+        for address, (low, high) in (ranges or {}).items():
+            p = self.addresses.index(address)
+            whole = self.domain.period[p] > 0 and abs(high - low - self.domain.period[p]) < 1e-9
+            if not whole:
+                self.domain.lower[p], self.domain.upper[p], self.domain.period[p] = low, high, 0.0
+        observed = np.asarray(observed, float)
+        seen = np.isfinite(observed) & (observed > 0)
+        spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
+        self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
+        kinds = graph.solids().kind
+        if (kinds == MESH).any():
+            raise DerenderError("meshes have no exact derivative", remedy="give boxes, cubes, cylinders or spheres")
+        fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit)
+        self._cost = Cost(fine, self.placement, edges)
+
+    def scene(self, values: np.ndarray) -> SceneGraph:
+        """Return the graph with these (P,) values."""
+        return self.graph.with_numbers(dict(zip(self.addresses, map(float, values), strict=True)))
+
+    def log_density(self, values: np.ndarray) -> float:
+        """Return Eq. 6's log likelihood on the antialiased image."""
+        return self._constant - float(self._cost.at(np.atleast_2d(values))[0])
+
+    def slope(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gradient (P,) of the log density at `values` and its Gauss-Newton precision (P, P)."""
+        values = np.array(values, np.float64)
+        self._cost.at(values[None])
+        gradient, hessian = self._cost.equations(values)
+        return -gradient, hessian
+
+    def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return (count, P) starts, uniform over finite ranges; a number without one stays as the graph has it."""
+        low, length = self.domain.lower, self.domain.upper - self.domain.lower
+        drawn = rng.uniform(size=(count, len(self.addresses)))
+        finite = np.isfinite(low) & np.isfinite(length)
+        return np.where(finite, np.where(finite, low, 0) + np.where(finite, length, 0) * drawn, self.values)
+
+    def maximise(
+        self,
+        start: np.ndarray,
+        method: str = "gauss-newton",
+        iterations: int = 12,
+        step: float = 0.05,
+        tolerance: float = 0.5,
+    ) -> Ascent:
+        """Ascend from values (P,); the costs are minus the log densities.
+
+        method : one of METHODS. iterations : steps, at most. step : alpha of the fixed steps. tolerance : nats.
+        """
+        if method not in METHODS:
+            raise DerenderError(f"no method is called {method!r}", remedy=suggest(method, METHODS))
+        if method == "gauss-newton":
+            ascent = levenberg(self._cost, np.array(start, np.float64), self.domain, iterations, tolerance)
+        else:
+            difference = DIFFERENCE if method == "finite-difference" else 0.0
+            ascent = fixed_steps(self._cost, start, self.domain, iterations, step, difference)
+        return ascent._replace(costs=ascent.costs - self._constant)
+
+
+def climb(
+    target: Any, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None
+) -> np.ndarray:
+    """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
+
+    All unknowns are `cooled`. An ascent then moves contact and shape numbers on the antialiased image under uniform
+    priors in the target's ranges; the target's own density decides, so neither approximation can make things worse.
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    space, best = target.space, cooled(rng, target, values)
+    chosen, ranges = [], {}
+    for unknown, offset in zip(space.unknowns, space.offsets, strict=False):
+        name = unknown.address.partition(".")[0]
+        if unknown.distribution.size == 1 and not unknown.distribution.discrete and name not in ("root", "likelihood"):
+            chosen.append(int(offset))
+            ranges[unknown.address] = unknown.distribution.support
+    if not chosen:
+        return best
+    numbers = target.by_address(best)
+    likelihood = {**target.images.values, **{key.removeprefix("likelihood."): value for key, value in numbers.items()}}
+    try:
+        problem = MapProblem(target.graph(best), list(ranges), target.images.camera, target.images.observed,
+                             sigma=likelihood.get("sigma", 0.005), blur=likelihood.get("blur", 0.0),
+                             background=likelihood.get("background", 10.0), ranges=ranges,
+                             limit=math.inf if target.images.type == "gaussian" else 8.0)  # fmt: skip
+    except DerenderError:
+        return best
+    density = target.log_prior(best) + target.log_likelihood(best)
+    method = "gauss-newton" if gradient == "exact" else gradient
+    for end in problem.maximise(problem.values, method, step=0.005).path:
+        trial = best.copy()
+        trial[chosen] = end
+        log_prior = target.log_prior(trial)
+        if log_prior > -math.inf:
+            value = log_prior + target.log_likelihood(trial)
+            if value > density:
+                best, density = trial, value
+    return best
+
+
+def cooled(rng: np.random.Generator, target: Any, values: np.ndarray) -> np.ndarray:
+    """Return the likeliest values (P,) that a walk from some meets while the likelihood weighs ever more."""
+    parts = mixture(target.space, [{"drift": {}}])
+    backend, tuning = backend_of(target, parts), first_tuning(target.space, values)
+    best, density = np.array(values, np.float64), sum(backend.evaluate(values))
+    for cold in COLDER:
+        stretch = backend.sweep(rng, best, tuning._replace(temperature=cold), COLD_STEPS * len(parts), 1)
+        found = stretch.densities.sum(axis=1)
+        if found.max() > density:
+            best, density = stretch.values[found.argmax()], found.max()
+        tuning = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, GAIN))
+    return best

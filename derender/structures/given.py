@@ -340,7 +340,7 @@ def part_at(
 
 def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
     """Return a part of one draw moved to the end of ascents by gradient, if that is more probable."""
-    from derender.posterior.map import climb
+    from derender.posterior.ascent import climb
 
     values = climb(target, part.values[0, 0], gradient, np.random.default_rng([seed, 3]))
     if np.array_equal(values, part.values[0, 0]):
