@@ -12,7 +12,7 @@ import numpy as np
 
 from derender.posterior.compiled.backend import Backend, backend_of
 from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
-from derender.posterior.smc import ALONE, LOCAL, pilot_runs, shaped, systematic
+from derender.posterior.smc import LOCAL, pilot_runs, shaped, systematic
 from derender.posterior.space import Space
 from derender.sampling.chains import Segment
 
@@ -97,17 +97,11 @@ class MixtureSampler:
         """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
         if self.population <= 1:
             return self
-        space, alone = self.target.space, {}
-        for block in (block for block in space.blocks if block.name in space.relocations):
-            own = [part for part in self.parts if part.type in ALONE and part.block.name == block.name]
-            if own:
-                alone[block.objects[0]] = backend_of(self.target, own, self.cycle)
         walking = [part for part in self.parts if part.type in LOCAL] or self.parts
         local = backend_of(self.target, walking, self.cycle)
         backends = [self.backend() for _ in range(chains)]
         movers = [local.twin() for _ in range(chains)]
-        singles = [{name: one.twin() for name, one in alone.items()} for _ in range(chains)]
-        found = pilot_runs(space, backends, self.parts, movers, singles, seed, jobs, self.thin, self.population,
+        found = pilot_runs(self.target.space, backends, self.parts, movers, seed, jobs, self.thin, self.population,
                     self.particles)  # fmt: skip
         if found is None:  # nothing possible: each chain starts from the prior on its own
             return self

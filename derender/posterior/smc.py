@@ -5,10 +5,10 @@ effective number bears; at each stage particles are resampled and moved by a mix
 that matters among many. The product of the mean weights estimates the evidence; adaptive stages bias it by O(1 / n).
 
 Pilots look together, before any draw is kept, for where the posterior is and how to walk on it. Populations find good
-places; restarts turn one object of the best at a time. From there each chain climbs a ladder of temperatures (Geyer
-1991): on the levels above the first the likelihood is raised to a power below one, narrow modes are wide there, and
-neighbours exchange their places by the Metropolis rule. What the first level has seen by the end fixes the tuning that
-every chain starts with. What one chain missed another found: only together do they know all modes.
+places. From there each chain climbs a ladder of temperatures (Geyer 1991): on the levels above the first the likelihood
+is raised to a power below one, narrow modes are wide there, and neighbours exchange their places by the Metropolis
+rule. What the first level has seen by the end fixes the tuning that every chain starts with. What one chain missed
+another found: only together do they know all modes.
 """
 
 import math
@@ -25,7 +25,7 @@ from derender.sampling.metropolis import log_threshold
 from derender.scene.priors.terms import MOST_TRIES
 
 if TYPE_CHECKING:
-    from derender.posterior.compiled.backend import Backend, CompiledBackend
+    from derender.posterior.compiled.backend import Backend
 
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
@@ -175,13 +175,9 @@ def tempered(
 
 
 LOCAL = ("drift", "slide", "turn")  # kernels that move a starting population
-ALONE = ("drift", "slide")  # kernels of a restart, which moves one object
 GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
-ANGLES = 8  # at which a restart sets an object down
-HEATS = (0.03, 0.03, 0.06, 0.06, 0.12, 0.25, 0.5, 1.0)  # temperatures at which it then walks
-RESTART_STEPS, MOST_RESTARTS = 20, 3  # at each of them; and how often there are restarts from a better place
 LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
 STAGES = (10, 20, 40, 80)  # rounds of each; then all levels are fitted anew to what all chains saw in its later half
 STRETCH = 5  # rounds between two exchanges
@@ -206,12 +202,11 @@ class Climb(NamedTuple):
     scales: list[dict[str, float]]  # step scales of each level
 
 
-def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, singles: list[dict], seed: int, jobs: int,
-        thin: int, population: int, particles: int) -> Found | None:  # fmt: skip
+def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, seed: int, jobs: int, thin: int,
+                population: int, particles: int) -> Found | None:  # fmt: skip
     """Return what pilots found, or None where nothing possible was.
 
-    backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only; singles : the
-        same, of those that move one object only, by its name.
+    backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only.
     thin : steps in a round. population, particles : of each start, see `smc.tempered`.
     """
 
@@ -221,12 +216,8 @@ def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, si
 
     def explore(number: int):
         rng = np.random.default_rng([seed, 3, number])
-        parts = movers[number].parts
-        found = tempered(rng, space, movers[number], parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
-        best = int(np.argmax(found.densities.sum(axis=1)))
-        values, densities = restarted(rng, space, singles[number], found.values[best], found.densities[best])
-        return found._replace(values=np.concatenate([found.values, values]),
-                              densities=np.concatenate([found.densities, densities]))  # fmt: skip
+        mover = movers[number]
+        return tempered(rng, space, mover, mover.parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
 
     explored = each(explore)
     densities = np.concatenate([found.densities.sum(axis=1) for found in explored])
@@ -253,47 +244,6 @@ def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, si
         rising = density > former + RISE
     backends[0].program(levels[0])
     return Found(pools[0], levels[0])
-
-
-def restarted(
-    rng: np.random.Generator, space: Space, singles: dict[str, Any], values: np.ndarray, density: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return better places (n, P) than `values`, and their densities (n, 2), where one object stands at another angle.
-
-    What is half hidden is easily taken for turned; a whole scene hardly comes out of that, where each of the others has
-    found its place beside it. Each object is set down at some angles and walks alone while it cools; of those that end
-    better the best is where the next restarts begin.
-    """
-    kept, densities = np.empty((0, len(values))), np.empty((0, 2))
-    for _ in range(MOST_RESTARTS):
-        ends = [end for name, backend in singles.items() for end in turned(rng, space, name, backend, values)]
-        better = [end for end in ends if end[1].sum() > density.sum() + RISE]
-        if not better:
-            break
-        kept = np.concatenate([kept, [end[0] for end in better]])
-        densities = np.concatenate([densities, [end[1] for end in better]])
-        values, density = max(better, key=lambda end: end[1].sum())
-    return kept, densities
-
-
-def turned(
-    rng: np.random.Generator, space: Space, name: str, backend: "CompiledBackend", values: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return where an object of `values` ends, and the densities there, set down at some angles."""
-    target, ends = backend.target, []
-    place, period = target.placement(values, name), target.placement_periods(name)[0]
-    for angle in place[0] + period * (np.arange(ANGLES) + rng.random()) / ANGLES:
-        put = target.put(values, {name: np.array([angle, *place[1:]])})
-        if put is None or target.log_prior(put[0]) == -math.inf:
-            continue
-        moved, tuning = put[0], first_tuning(space, put[0])
-        for heat in HEATS:
-            tuning = tuning._replace(temperature=heat)
-            stretch = backend.sweep(rng, moved, tuning, 1, RESTART_STEPS)
-            moved, densities = stretch.values[-1], stretch.densities[-1]
-            tuning = tuning._replace(scale=rescale(tuning.scale, backend.parts, stretch.counts, 3.0))
-        ends.append((moved, densities))
-    return ends
 
 
 def climb(

@@ -7,7 +7,7 @@ from toy_worlds import World
 
 from derender import data_path
 from derender.posterior import smc
-from derender.posterior.compiled.backend import InterpretedBackend, backend_of
+from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
 from derender.posterior.kernels.relocate import fitted, mixture_density
@@ -46,24 +46,6 @@ def tower(seed):
     rng = np.random.default_rng([17, seed])
     truth = world.space.sample(rng)
     return truth, world.target(rng, truth)
-
-
-def test_restarts_turn_an_object_back():
-    """Two cubes half a period off, one after the other; twelve numbers cost six nats, give or take two and a half."""
-    truth, target = tower(9)
-    wrong, parts = truth, mixture(target.space, [{"drift": {}}, {"slide": {}}])
-    for name in ("green", "yellow"):
-        wrong = target.put(wrong, {name: target.placement(wrong, name) + [np.pi / 4, 0.0, 0.0]})[0]
-    singles = {
-        name: backend_of(target, [part for part in parts if part.block.objects == (name,)])
-        for name in ("blue", "green", "red", "yellow")
-    }
-    density = np.array(singles["red"].evaluate(wrong))
-    places, densities = smc.restarted(np.random.default_rng(0), target.space, singles, wrong, density)
-    right = sum(singles["red"].evaluate(truth))
-    assert density.sum() < right - 100.0
-    assert densities.sum(axis=1).max() > right - 8.0
-    np.testing.assert_allclose(singles["red"].evaluate(places[0]), densities[0])
 
 
 @pytest.mark.slow
