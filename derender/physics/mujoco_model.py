@@ -42,6 +42,9 @@ MOVING = 0.98, 10.0
 # A contact of a light body that bears a heavy one would give way in proportion to what it bears over what it weighs:
 # beyond this ratio it enforces more, as far as MuJoCo goes.
 MOST_BORNE, LEAST_SOFTNESS = 10.0, 1e-4
+# The solver stops where a step gains less than this (MuJoCo's default) beside the mean of all inertias: among heavy
+# bodies a light one would be left with forces that throw it about, a box of .5 kg on one of 10 t off it.
+TOLERANCE = 1e-8
 # Contacts that are harder than this throw bodies about where they are ten times harder still across their normal.
 SOFT_ENOUGH = 0.005
 # Rate at which a contact stops sliding where friction could hold it, in units of sqrt(g / s). Greater rates lift a
@@ -338,6 +341,7 @@ class World:
         self.model.opt.impratio = self._across if softness.min(initial=soft) > SOFT_ENOUGH else 1.0
         self.model.pair_solimp[:] = [0.0, 0.0, self._long, 0.5, 2]
         self.model.pair_solimp[:, :2] = 1 - softness[:, None]
+        self.model.opt.tolerance = TOLERANCE * float(mass.min(initial=heaviest)) / (heaviest or 1.0)
 
     def _rest_as_they_are(self) -> None:
         """Let each pair that touches by the graph, or overlaps, rest at its present distance."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from derender.physics.bodies import Body, Matter, matter_of_scene
-from derender.physics.intervention import Disturbance, Intervention
+from derender.physics.intervention import Disturbance, Intervention, Push
 from derender.physics.mujoco_model import ROLLING, World
 from derender.physics.outcome import outcomes
 from derender.physics.simulate import judge, save_trajectory, simulate
@@ -37,6 +37,14 @@ def in_frame(scene, frame):
     """Return the same scene in another frame."""
     bodies = [body._replace(pose=frame @ body.pose) for body in scene.bodies]
     return Matter(tuple(bodies), frame[:3, :3] @ scene.gravity, scene.supports)
+
+
+@pytest.mark.parametrize("mass", [1e3, 1e4, 1e6])
+def test_a_light_thing_stays_on_a_heavy_one_that_a_push_does_not_move(mass):
+    bodies = FLOOR, cube("low", 0, 0.05, mass=mass), cube("top", 0, 0.15, mass=0.5)
+    push = Disturbance((Push("low", np.array([0.5, 0.0, 0.0]), 0.0, 0.1),))
+    places = simulate(matter(*bodies), 2.0, disturbance=push).poses[:, 1, :3, 3]
+    assert np.linalg.norm(places - places[0], axis=1).max() < 1e-4  # one of 1 kg below leaves 4e-6
 
 
 @pytest.mark.parametrize(("overhang", "stable"), [(0.0, True), (0.045, True), (0.055, False), (0.09, False)])
