@@ -24,6 +24,7 @@ MOST_DAMPING = 1e5
 # The mean of f (1 - f) over f in [0, 1] is one sixth, but pixels along one straight edge are off alike, all of them
 # where it runs along a row: a dozen count as two.
 EDGE = 1.0
+BEYOND = 3  # pixels: a step takes the two beside it, and blur or a slanted outline one more
 FAR_OFF = 3.5  # standard deviations: of normal noise one pixel in two thousand
 
 
@@ -42,11 +43,25 @@ def look(misfit, observed, spread):
 
 
 @njit(cache=True, nogil=True)
+def _beside(observed, row, column, down, right):
+    """Return by how much the nearest return in a direction is off a pixel's depth, and how many steps away it is; 0 for
+    none."""
+    for far in range(1, BEYOND + 1):
+        i, j = row + far * down, column + far * right
+        if not (0 <= i < observed.shape[0] and 0 <= j < observed.shape[1]):
+            break
+        if observed[i, j] > 0.0:
+            return abs(observed[i, j] - observed[row, column]), far
+    return 0.0, 0
+
+
+@njit(cache=True, nogil=True)
 def spread_of(observed, floor, growth, least, spread):
     """Write the standard deviation (H, W) of each pixel of an observed image (H, W), metres, 0 where nothing returned.
 
     Beside the sensor's noise, floor + growth z^2, a pixel at a depth step s shows one side of it or the other, where
-    the model shows their mean by area: it is off by some share of s, with variance s^2 / EDGE.
+    the model shows their mean by area: it is off by some share of s, with variance s^2 / EDGE. Sensors lose pixels at
+    steps: the other side is that of the nearest return within BEYOND pixels.
     """
     height, width = observed.shape
     for row in range(height):
@@ -57,16 +72,10 @@ def spread_of(observed, floor, growth, least, spread):
             if depth > 0.0:
                 for way in range(4):
                     down, right = (1 if way != 0 else 0), (1 if way == 0 else way - 2)
-                    one, other = -1.0, -1.0
-                    if 0 <= row + down < height and 0 <= column + right < width:
-                        one = observed[row + down, column + right]
-                    if 0 <= row - down < height and 0 <= column - right < width:
-                        other = observed[row - down, column - right]
-                    first = abs(one - depth) if one > 0.0 else 0.0
-                    second = abs(other - depth) if other > 0.0 else 0.0
-                    # what a slope does on both sides is no step
-                    change = abs(first - second) if one > 0.0 and other > 0.0 else 0.0
-                    step = max(step, change)
+                    first, near = _beside(observed, row, column, down, right)
+                    second, far = _beside(observed, row, column, -down, -right)
+                    if near > 0 and far > 0:  # what a slope does on both sides is no step
+                        step = max(step, abs(first / near - second / far) * max(near, far))
             step = max(step - 3.0 * sigma, 0.0)
             spread[row, column] = math.sqrt(sigma * sigma + step * step / EDGE)
 

@@ -23,6 +23,19 @@ def follow(frames, beginning, moving_camera=False, infer=None, step=1 / FPS):
     return recorder
 
 
+def test_pixels_beside_a_step_are_unsure_though_the_sensor_lost_those_between():
+    """Drawn as the mean of both sides they were wrong by tens of their deviations, and held boxes in false places."""
+    depth, spread = np.tile(np.where(np.arange(12) < 6, 0.7, 0.8), (12, 1)), np.empty((12, 12))
+    depth[:, 6] = 0.0
+    fit.spread_of(depth, films.NOISE, 0.0, 1e-4, spread)
+    assert spread[:, [5, 7]].min() > 0.09
+    assert np.allclose(np.delete(spread, [5, 6, 7], axis=1), films.NOISE)
+    depth[:] = 0.7 + 0.01 * np.arange(12)
+    depth[4:6, 3:5] = 0.0
+    fit.spread_of(depth, films.NOISE, 0.0, 1e-4, spread)  # a slope with a hole is no step
+    assert np.allclose(spread[depth > 0], films.NOISE)
+
+
 BOX_A, BOX_B = [0.08, 0.06, 0.07], [0.06, 0.07, 0.05]
 
 
