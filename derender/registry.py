@@ -7,8 +7,11 @@ import difflib
 import functools
 import inspect
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
+import numbers
+import reprlib
+from collections.abc import Callable, Iterator, Sequence
+from types import UnionType
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, get_args, get_origin
 
 from derender.errors import DerenderError
 
@@ -104,17 +107,44 @@ class Registry(Generic[T]):
 
 
 def only_its_keywords(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with a TypeError that says "did you mean" for a keyword that it does not have."""
-    names = list(inspect.signature(function).parameters)
+    """Return the function with a TypeError in one line for a keyword that it does not have ("did you mean"), and for an
+    argument of another type than it is annotated with.
+    """
+    signature = inspect.signature(function)
+    names = list(signature.parameters)
 
     @functools.wraps(function)
     def checked(*arguments: P.args, **keywords: P.kwargs) -> T:
         for key in keywords:
             if key not in names:
                 raise TypeError(f"{function.__name__}() has no keyword {key!r}; {suggest(key, names)}")
+        for name, value in signature.bind_partial(*arguments, **keywords).arguments.items():
+            kind = signature.parameters[name].annotation
+            kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+            if not any(_is_a(value, kind) for kind in kinds):
+                wanted = " or ".join(TYPES.get(kind, str(getattr(kind, "__name__", kind))) for kind in kinds)
+                raise TypeError(f"{function.__name__}(): {name} is {reprlib.repr(value)}; give {wanted}")
         return function(*arguments, **keywords)
 
     return checked
+
+
+# How a person says some types; no whole number of the interface may be negative.
+TYPES = {int: "a whole number from 0 up", float: "a number", str: "text", bool: "True or False", type(None): "None"}
+
+
+def _is_a(value: object, kind: Any) -> bool:
+    """Return whether a value is of a type of an annotation, numbers of any library included; text is no sequence."""
+    kind = get_origin(kind) or kind
+    if kind is int or kind is float:
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+            return False
+        return kind is float or (isinstance(value, numbers.Integral) and int(value) >= 0)
+    if getattr(kind, "__name__", "") == "ndarray":
+        return hasattr(value, "__array__")
+    if kind is inspect.Parameter.empty or not isinstance(kind, type):
+        return True
+    return isinstance(value, kind) and not (kind is Sequence and isinstance(value, str))
 
 
 def suggest(name: object, choices: Any) -> str:

@@ -1,6 +1,7 @@
 """The story of `derender infer` on one page: read the image, ask what is known, infer, write the folder."""
 
 import contextlib
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -125,7 +126,7 @@ def ask(
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     where = prior if names_objects(document) else image
-    return Request(str(image), seen, document, where, options, gradient, made, folder.resolve())
+    return Request(str(image), seen, document, where, options, gradient, made, Path(os.path.realpath(folder)))
 
 
 def read_frames(images: Sequence[str], poses: str | None, reading: Reading) -> tuple[Frame, ...]:

@@ -99,6 +99,21 @@ def test_thousands_of_folders_in_one_another_are_told(tmp_path):
         make_folder(tmp_path.joinpath(*"a" * 2000))
 
 
+def test_a_link_to_itself_is_told(tmp_path):
+    for name in ("out", "mesh.obj"):
+        (tmp_path / name).symlink_to(tmp_path / name)
+    np.save(tmp_path / "image.npy", np.full((24, 32), 0.9))
+    with pytest.raises(DerenderError, match="the folder cannot be made"):
+        infer_to_folder(str(tmp_path / "image.npy"), Options(method="map"), output=str(tmp_path / "out"))
+    with pytest.raises(DerenderError, match="the folder cannot be made"):
+        infer_frames([str(tmp_path)], tmp_path / "out", Order(), lambda *_: pytest.fail("begun"))
+    (tmp_path / "scene.yaml").write_text("derender: 1\nobjects: {a: {shape: {type: mesh, file: mesh.obj}}}\n")
+    with pytest.raises(DerenderError, match="cannot read the mesh"):
+        read_prior_document(tmp_path / "scene.yaml")
+    told = CliRunner().invoke(group, ["render", str(tmp_path / "out" / "scene.yaml")])
+    assert isinstance(told.exception, DerenderError)
+
+
 def test_standard_streams_are_no_frame_of_many_and_no_folder(tmp_path):
     (tmp_path / "frame.npy").write_bytes(b"")
     with pytest.raises(DerenderError, match="stdin is one image alone"):

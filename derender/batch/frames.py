@@ -55,7 +55,7 @@ def find_frames(
     Raises DerenderError : a pattern or a folder without an image.
     """
     found: dict[str, str] = {}  # the name within its folder, by path
-    output = Path(output).resolve()
+    output = Path(os.path.realpath(output))
     for argument in arguments:
         shallow: list[str] = []
         if is_bag(argument):
@@ -97,9 +97,11 @@ def _below(folder: Path, output: Path, shallow: list[str]) -> list[str]:
 
 def _may_be_depth(path: Path, output: Path, shallow: list[str]) -> bool:
     """Return whether a file that was not named itself is taken; PNGs of 8 bits are not, and are listed."""
-    if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or output in path.resolve().parents:
+    if path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
         return False
-    if (path.parent / RESULT).exists() or (path.exists() and not path.is_file()):  # a folder, or a pipe
+    if (path.parent / RESULT).exists() or output in Path(os.path.realpath(path)).parents:
+        return False
+    if path.exists() and not path.is_file():  # a folder, or a pipe
         return False
     if path.suffix.lower() != ".png":
         return True

@@ -74,6 +74,8 @@ class Camera:
     @only_its_keywords
     def from_field_of_view(cls, width: int, height: int, degrees: float = FALLBACK_FIELD_OF_VIEW) -> "Camera":
         """Return a camera with square pixels, a centred principal point and this horizontal field of view."""
+        if not 0.0 < degrees < 180.0:
+            raise DerenderError(f"a field of view of {degrees:g} degrees", "camera", "give more than 0, less than 180")
         focal = width / (2 * math.tan(math.radians(degrees) / 2))
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
@@ -86,6 +88,7 @@ class Camera:
         return cls(**from_matrix(np.asarray(matrix), "the matrix"), width=width, height=height, **more)
 
     @classmethod
+    @only_its_keywords
     def from_file(cls, path: str | Path, shape: tuple[int, int] | None = None) -> "Camera":
         """Return the camera of a file of any known format; shape : (height, width) where the file does not say it."""
         from derender.camera.camera_file import read_camera

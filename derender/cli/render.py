@@ -121,7 +121,7 @@ def _name(scene: str) -> str:
         return "scene"
     if path.is_dir():
         return path.resolve().name
-    return path.resolve().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
+    return path.absolute().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
 
 
 def _camera(document: "Document", given: str | None, depth_scale: float | None, talk: Talk) -> "Camera":

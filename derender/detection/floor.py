@@ -217,11 +217,11 @@ def read_floor(text: Any) -> np.ndarray | str | None:
     if isinstance(text, str):
         if text.strip().lower() == "none":
             return "none"
-        try:
-            text = [float(part) for part in text.replace(",", " ").split()]
-        except ValueError:
-            text = []
-    plane = np.asarray(text, float).ravel()
+        text = text.replace(",", " ").split()
+    try:
+        plane = np.asarray(text, float).ravel()
+    except (TypeError, ValueError):  # rows of different lengths, or words
+        plane = np.empty(0)
     if plane.shape != (4,) or not np.isfinite(plane).all() or np.linalg.norm(plane[:3]) < 1e-9:
         remedy = "give auto, none, or four numbers a,b,c,d of the plane a x + b y + c z + d = 0 in camera axes"
         raise DerenderError("this is no floor", "--floor", remedy)

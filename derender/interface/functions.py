@@ -3,14 +3,12 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
 from derender.document import Document, read_document, read_prior_document
-from derender.errors import DerenderError
 from derender.interface.posterior import Posterior
 from derender.interface.scene import HEIGHT, WIDTH, Scene
 from derender.registry import only_its_keywords
@@ -106,7 +104,7 @@ def infer(
     quick: bool = False,
     shapes: Sequence[str] | None = None,
     max_objects: int | None = None,
-    floor: str | Sequence[float] | None = None,
+    floor: str | Sequence[float] | np.ndarray | None = None,
     allow_interpenetration: bool = False,
     allow_floating: bool = False,
     chains: int | None = None,
@@ -173,24 +171,16 @@ def _warn(line: str) -> None:
     warnings.warn(line, stacklevel=4)  # where `infer` was called
 
 
-def as_camera(camera: Any) -> Camera | None:
+def as_camera(camera: Camera | str | Path | None) -> Camera | None:
     """Return the Camera that a Camera or its file is; None stays."""
-    if camera is None or isinstance(camera, Camera):
-        return camera
-    if isinstance(camera, str | Path):
-        return Camera.from_file(camera)
-    raise DerenderError(f"a {type(camera).__name__} is no camera", remedy="give a Camera or its file")
+    return Camera.from_file(camera) if isinstance(camera, str | Path) else camera
 
 
-def as_scene(scene: Any) -> Scene:
+def as_scene(scene: Scene | SceneGraph | str | Path) -> Scene:
     """Return the Scene that a Scene, a scene graph or a scene file is."""
     if isinstance(scene, Scene):
         return scene
-    if isinstance(scene, SceneGraph):
-        return Scene(scene)
-    if isinstance(scene, str | Path):
-        return _scene_of(read_document(scene))
-    raise DerenderError(f"a {type(scene).__name__} is no scene", remedy="give a Scene, a scene graph or a scene file")
+    return Scene(scene) if isinstance(scene, SceneGraph) else _scene_of(read_document(scene))
 
 
 def _scene_of(document: Document) -> Scene:

@@ -13,6 +13,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
 from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
+from derender.registry import only_its_keywords, suggest
 from derender.report.tables import text_table
 from derender.results import posterior as kept
 from derender.results.table import SIDES, digits, extents_text
@@ -83,7 +84,7 @@ class Objects(tuple[Found, ...]):
             for found in self:
                 if found.name == key:
                     return found
-            raise KeyError(key)
+            raise KeyError(f"no object is called {key!r}; {suggest(key, [found.name for found in self])}")
         return super().__getitem__(key)
 
     def to_pandas(self) -> Any:
@@ -183,10 +184,12 @@ class Posterior(kept.Posterior):
         """What speaks against trusting it, a sentence each."""
         return tuple(self.meta.get("doubts", ()))
 
+    @only_its_keywords
     def sample_scenes(self, count: int, seed: int = 0) -> list[Scene]:
         """Return `count` scenes drawn from the posterior: structures by their probability, draws uniformly within."""
         return [self._scene(graph) for graph in self.graphs(np.random.default_rng(seed), count)]
 
+    @only_its_keywords
     def predictive(self, count: int, seed: int = 0) -> np.ndarray:
         """Return (count, H, W) float64 depth images, metres, drawn from the posterior with their noise.
 

@@ -106,7 +106,7 @@ def simulate(
     if isinstance(scene, str | Path) and Path(scene).is_dir():
         scene = load(scene)  # type: ignore[assignment]
     posterior = scene if isinstance(scene, Posterior) else None
-    found = posterior.best if posterior is not None else as_scene(scene)
+    found = scene.best if isinstance(scene, Posterior) else as_scene(scene)
     acts = Acts(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
     once = intervention(**_several(acts))._replace(jitter=None)
     best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=early)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
 
 ENGINES = ("mujoco", "statics", "both")
+LONGEST = 3600.0  # seconds simulated: a trajectory fits into memory
 # A scene whose bodies still move after the time asked for is followed this many times longer before it is judged.
 PATIENCE = 3.0
 # One that has gone further than this share of its mean extent is not waited for.
@@ -92,8 +93,8 @@ def simulate_scene(
 
     if engine not in ENGINES:
         raise DerenderError(f"no engine is called {engine!r}", None, "choose from " + " ".join(ENGINES))
-    if not 0.0 < duration < np.inf:
-        raise DerenderError(f"duration is {duration!r}", None, "give seconds, more than none")
+    if not 0.0 < duration <= LONGEST:
+        raise DerenderError(f"duration is {duration!r}", None, f"give seconds, at most {LONGEST:g}")
     if what is None:
         what = intervention(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
     matter, axes = (scene, upright_axes(scene)) if isinstance(scene, Matter) else _of_graph(scene, rng)

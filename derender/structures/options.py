@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +13,10 @@ from derender.registry import suggest
 if TYPE_CHECKING:
     from derender.document import Document
 
+RANGES = {  # of whole numbers, so that memory holds what is asked for
+    "chains": (1, 1000), "draws": (1, 10_000_000), "warmup": (0, 10_000_000), "jobs": (1, 1000),
+    "max_objects": (1, 1000), "seed": (0, 2**128),
+}  # fmt: skip
 METHODS = ("auto", "mcmc", "map", "smc")
 
 
@@ -71,10 +74,10 @@ class Options:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise DerenderError(f"no method is called {self.method!r}", "--method", suggest(self.method, METHODS))
-        for name, least in (("chains", 1), ("draws", 1), ("warmup", 0), ("jobs", 1), ("max_objects", 1), ("seed", 0)):
+        for name, (least, most) in RANGES.items():
             value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, Integral) or value < least):
-                raise DerenderError(f"{name} is {value!r}", remedy=f"give a whole number from {least} up")
+            if value is not None and not least <= value <= most:
+                raise DerenderError(f"{name} is {value!r}", remedy=f"give a whole number from {least} to {most:g}")
         if self.budget is not None and not 0.0 < self.budget < np.inf:
             raise DerenderError(f"budget is {self.budget!r}", remedy="give seconds, more than none")
         if self.only_known and self.known is None:

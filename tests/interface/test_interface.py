@@ -85,7 +85,6 @@ def test_what_is_taken_for_an_image(image, tmp_path):
         (np.zeros((48, 64, 3)), "48 x 64 x 3; this looks like a colour image"),
         (np.ones((48, 64), np.uint8), "8 bits a pixel are too coarse"),
         ([[1.0, 2.0], [1.0]], "the rows have different lengths"),
-        ({"depth": 1}, "a dict is no depth image; give a path, a DepthImage or an array"),
         (np.zeros((48, 64)), "no pixel has a depth"),
         ("missing.npy", "missing.npy: cannot read the depth image"),
         (derender.DepthImage(np.ones((9, 9)), derender.Camera(9, 9, 4, 4, 8, 9)), "is 9 x 9 pixels, its camera 8 x 9"),
@@ -94,6 +93,41 @@ def test_what_is_taken_for_an_image(image, tmp_path):
 def test_what_is_refused_for_an_image(thing, words):
     with pytest.raises(DerenderError, match=words):
         derender.infer(thing)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: derender.infer({"depth": 1}),
+        lambda: derender.infer(
+            np.ones((9, 9)), camera=1
+        ),  # once read from, and closed, the file of this number: stdout
+        lambda: derender.infer(np.ones((9, 9)), shapes="box"),
+        lambda: derender.infer(np.ones((9, 9)), quick="no"),
+        lambda: derender.infer(np.ones((9, 9)), progress=3),
+        lambda: derender.infer(np.ones((9, 9)), seed=None),
+        lambda: derender.load(5),
+        lambda: derender.render(None),
+        lambda: derender.sample(np.eye(3)),
+        lambda: derender.sample("stack", seed=-1),
+        lambda: derender.simulate("stack", draws=-1),
+        lambda: derender.simulate("stack", tilt=10),
+        lambda: derender.Camera.from_file(1),
+    ],
+)
+def test_an_argument_of_another_type_is_told_in_a_line(call):
+    with pytest.raises(TypeError, match=r"^[a-z_]+\(\): [a-z]+ is .{1,60}; give .+$"):
+        call()
+
+
+def test_numbers_of_other_libraries_are_numbers():
+    camera = derender.Camera.from_field_of_view(np.int64(32), np.int32(24), np.float32(50.0))
+    scene = derender.sample("stack", seed=np.uint8(1), camera=camera)
+    assert scene.render(noise=False, seed=np.int16(2)).depth.shape == (24, 32)
+    with pytest.raises(DerenderError, match="a field of view of 500 degrees"):
+        derender.Camera.from_field_of_view(32, 24, 500)
+    with pytest.raises(DerenderError, match="duration is 1000000000.0; give seconds, at most 3600"):
+        scene.simulate(duration=1e9)
 
 
 def test_a_depth_image_of_units_is_millimetres(image):
@@ -108,13 +142,17 @@ def test_a_scene_is_seen_by_a_camera_or_its_file(tmp_path):
     for given in (camera, tmp_path / "camera.json", str(tmp_path / "camera.json")):
         assert scene.render(given).depth.shape == (24, 32)
     assert derender.sample("stack", seed=0, camera=tmp_path / "camera.json").camera == camera
-    with pytest.raises(DerenderError, match="a float is no camera; give a Camera or its file"):
+    with pytest.raises(TypeError, match=r"render\(\): camera is 60.0; give Camera or text or Path or None"):
         scene.render(60.0)
 
 
 def test_options_are_checked():
-    with pytest.raises(DerenderError, match="draws is 'many'; give a whole number"):
+    with pytest.raises(TypeError, match=r"infer\(\): draws is 'many'; give a whole number from 0 up or None"):
         derender.infer(np.ones((48, 64)), draws="many")
+    with pytest.raises(DerenderError, match="draws is 1000000000000; give a whole number from 1 to 1e"):
+        derender.infer(np.ones((48, 64)), draws=10**12)
+    with pytest.raises(DerenderError, match="this is no floor"):
+        derender.infer(np.ones((48, 64)), floor=[0, 0, 1, "a"], camera=derender.Camera.from_field_of_view(64, 48))
     with pytest.raises(DerenderError, match="no method is called 'mcmcm'; did you mean 'mcmc'"):
         derender.infer(np.ones((48, 64)), method="mcmcm")
     with pytest.raises(DerenderError, match="--method smc is for objects that are given; add --scene"):

@@ -7,6 +7,7 @@ written, and drawn from wherever the scene is sampled or simulated.
 """
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -153,7 +154,7 @@ def _option(key: str, node: Node, folder: Path) -> Any:
     if key == "file":
         if "\0" in node.text():
             raise node.fault("the path holds a null character", "write the path of a mesh")
-        return str((folder / node.text()).resolve())
+        return os.path.realpath(folder / node.text())
     if key == "hull":
         return node.boolean()
     return node.plain()
