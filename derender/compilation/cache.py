@@ -1,42 +1,27 @@
 """`njit` for every compiled function of derender: a cache that is never stale, wherever one can be written.
 
-numba's own cache notices a change of a function's file, but not of the files whose functions and constants are
-compiled into it; two processes that fill it at once can cross each other's entries; and where neither the package nor
-a home folder can be written it refuses to import. Here every entry is one file that is named after all that it depends
-on: the kernel's file and every file of derender that it imports, directly or not, the types of the arguments, numba
-and the processor. An entry is written under a temporary name and moved into place, so processes cannot harm each other.
-
-numba is imported by the process that compiles something (compiler.py), and by no other: what was compiled before
-is loaded without it (entries.py), for its import takes as long as many a command.
-
-The folder is the first of these that can be written and that nobody else can write to: NUMBA_CACHE_DIR, the
-`__pycache__` beside the source, the user's cache folder, and a private folder for temporary files. Without any, kernels
-are compiled anew in each process.
+numba's own cache notices a change of a function's file, but not of the functions and constants elsewhere that are
+compiled into it, and half a second of each command is spent on importing numba. Here every version of a function is one
+file that is named after all that it depends on: the bytecode and the constants of the function and of those that it
+calls, the types of the arguments, numba and the processor. numba is imported by the process that compiles something
+(compiler.py), and by no other: what was compiled before is loaded without it (entries.py).
 """
 
 import functools
 import hashlib
 import importlib
-import os
-import re
+import importlib.util
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 
-from derender.compilation.entries import Entries, Version, fingerprint, fingerprints, is_private, load, machine, turn
+import numpy as np
 
-PACKAGE = Path(__file__).parent.parent
-COMMENT = re.compile(rb"#[^\n]*")  # may hold parentheses, at which a list of imports seems to end
-IMPORT = re.compile(
-    rb"^(?:from\s+(derender[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(derender[\w.]+)"
-    rb'|[^\n]* = late\(\s*"(derender[\w.]+)")',
-    re.MULTILINE,
-)
-LOADS = sys.platform != "win32"  # where numba links in a way of its own
+from derender.compilation.entries import Version, entry_path, fingerprint, fingerprints, load, turn
+
 _lock = threading.RLock()  # one thread loads or compiles at a time
 
 
@@ -65,24 +50,14 @@ class Kernel:
         self.py_func, self.cache, self.targetoptions = function, cache, {"no_cfunc_wrapper": True, **options}
         self.__name__, self.__doc__, self.__module__ = function.__name__, function.__doc__, function.__module__
         self._versions: dict[tuple, Version] = {}
-        self._calls: dict[tuple, Callable] = {}
         _name_apart(function)
 
     def __call__(self, *arguments):
         try:
-            call = self._calls[tuple(map(fingerprint, arguments))]
+            version = self._versions[tuple(map(fingerprint, arguments))]
         except (KeyError, NotImplementedError):
-            arguments = self._complete(arguments)
-            call = self.version(arguments).call
-        return call(*arguments)
-
-    def _complete(self, arguments):
-        """Return the arguments with the defaults of those left out."""
-        count, defaults = self.py_func.__code__.co_argcount, self.py_func.__defaults__ or ()
-        missing = count - len(arguments)
-        if not 0 <= missing <= len(defaults):
-            raise TypeError(f"{self.__name__} takes {count} arguments, not {len(arguments)}")
-        return (*arguments, *defaults[len(defaults) - missing :])
+            version = self.version(arguments)
+        return version.call(*arguments)
 
     def version(self, arguments) -> Version:
         """Return what was compiled for arguments of these types: loaded, or compiled now."""
@@ -90,19 +65,17 @@ class Kernel:
         if key not in self._versions:
             with _lock:
                 if key not in self._versions:  # another thread may have been faster
-                    found = self._versions[key] = self._new_version(key, arguments)
-                    if found.call is not None:
-                        self._calls[key] = found.call
+                    self._versions[key] = self._new_version(key, arguments)
         return self._versions[key]
 
-    def _new_version(self, key, arguments) -> Version:
-        path = self.entries.path((machine(), key)) if self.entries else None
-        found = load(path) if path and LOADS else None
+    def _new_version(self, key: tuple, arguments: tuple) -> Version:
+        path = entry_path(f"{self.__module__}.{self.py_func.__qualname__}", self.stamp, key) if self.cache else None
+        found = load(path)
         if found is None:
-            if path:
+            if self.cache:
                 announce()
             with turn(path):
-                found = load(path) if path and LOADS else None  # another process may have compiled it meanwhile
+                found = load(path)  # another process may have compiled it meanwhile
                 if found is None:
                     from derender.compilation.compiler import compile_version
 
@@ -110,15 +83,20 @@ class Kernel:
         return found
 
     @functools.cached_property
-    def entries(self) -> Entries | None:
-        """Where the code of its versions lies; None where nothing can be kept."""
-        code = self.py_func.__code__
-        source = Path(code.co_filename)
-        folder = _folder(source) if self.cache else None
-        if folder is None:
-            return None
-        base = f"{source.stem}.{self.py_func.__qualname__.replace('<locals>.', '')}-{code.co_firstlineno}"
-        return Entries(folder, f"{base}.py{sys.version_info[0]}{sys.version_info[1]}", source_stamp(source))
+    def stamp(self) -> str:
+        """A digest of all that its code is made from: of this function and of those that are compiled into it."""
+        waiting: list[Any] = [self]
+        parts: dict[Any, Any] = {}
+        while waiting:
+            one = waiting.pop()
+            if one in parts:
+                continue
+            function, code = one.py_func, one.py_func.__code__
+            named = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
+            waiting += [value for value in named if isinstance(value, Kernel)]
+            code = code.replace(co_consts=tuple(each for each in code.co_consts if each != function.__doc__))
+            parts[one] = [told(each) for each in (one, code, function.__defaults__, *one.targetoptions.items(), *named)]
+        return hashlib.sha256(repr(list(parts.values())).encode()).hexdigest()
 
     @functools.cached_property
     def dispatcher(self):
@@ -126,6 +104,30 @@ class Kernel:
         from derender.compilation.compiler import make_dispatcher
 
         return make_dispatcher(self)
+
+
+def told(value: Any) -> str:
+    """Return what tells a thing that a kernel names from others of its name, the same in all processes."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes()!r}"
+    if isinstance(value, CodeType):
+        return f"{value.co_code!r} {value.co_varnames} {value.co_names} {[told(each) for each in value.co_consts]}"
+    if isinstance(value, Late | ModuleType):
+        return _source(value.module if isinstance(value, Late) else value.__name__)
+    if isinstance(value, tuple):
+        return str([sorted(each) if isinstance(each, set) else each for each in value])
+    named = getattr(value, "py_func", value)
+    name = getattr(named, "__qualname__", None)
+    return repr(value) if name is None else f"{named.__module__}.{name} {getattr(value, '_fields', '')}"
+
+
+@functools.cache
+def _source(module: str) -> str:
+    """Return a digest of a module's file; the name of one that no file of Python holds."""
+    found = importlib.util.find_spec(module)
+    if found is None or found.origin is None or not found.origin.endswith(".py"):
+        return module
+    return hashlib.sha256(Path(found.origin).read_bytes()).hexdigest()
 
 
 def interpreted(kernel: Kernel, **replaced: Callable) -> Callable:
@@ -154,21 +156,13 @@ class Late(NamedTuple):
     module: str
     name: str
 
-    def found(self):
-        return getattr(importlib.import_module(self.module), self.name)
-
 
 def late(module: str, *names: str) -> tuple[Late, ...]:
     """Return stand-ins in kernels for what a module has under these names, which is imported when one is compiled."""
     return tuple(Late(module, name) for name in names)
 
 
-def when_compiling(function: Callable[[], object]) -> None:
-    """Have a function called when this process first compiles a kernel, if it ever does."""
-    helpers.append(function)
-
-
-helpers: list[Callable[[], object]] = []
+helpers: list[Callable[[], object]] = []  # called when this process first compiles a kernel, if it ever does
 
 
 @functools.cache
@@ -198,89 +192,6 @@ def _name_apart(function: Callable) -> None:
     if not all(isinstance(value, int | float | str) for value in held):
         raise TypeError(f"{function.__qualname__} can be told from its like only by numbers and words that it holds")
     function.__qualname__ += "".join(f"_{value}" for value in held)
-
-
-@functools.cache
-def source_stamp(source: Path) -> str:
-    """Return the hash of a Python file and of all files of derender that it imports when it is imported."""
-    waiting, seen = [source], set()
-    while waiting:
-        file = waiting.pop()
-        if file not in seen:
-            seen.add(file)
-            waiting.extend(_read(file)[1])
-    digest = hashlib.sha256()
-    for file in sorted(seen):
-        digest.update(_read(file)[0])
-    return digest.hexdigest()
-
-
-@functools.cache
-def _read(source: Path) -> tuple[bytes, list[Path]]:
-    """Return the hash of a file and the files of derender that its top level imports."""
-    text = source.read_bytes() if source.exists() else b""
-    found = []
-    for module, names, plain, later in IMPORT.findall(COMMENT.sub(b"", text)):
-        place = os.path.join(PACKAGE, *(module or plain or later).decode().split(".")[1:])
-        words = re.findall(r"\w+", names.decode())
-        found += [_file_of(target) for target in (place, *(os.path.join(place, word) for word in words))]
-    return hashlib.sha256(text).digest(), [file for file in found if file is not None]
-
-
-@functools.cache
-def _file_of(module: str) -> Path | None:
-    """Return the file of a module of this path; None where it is no module but a name in one."""
-    folder, name = os.path.split(module)
-    if f"{name}.py" in _listing(folder):
-        return Path(f"{module}.py")
-    return Path(module, "__init__.py") if "__init__.py" in _listing(module) else None
-
-
-@functools.cache
-def _listing(folder: str) -> frozenset[str]:
-    """Return the names in a folder: asked once, for there are a thousand to look up."""
-    return frozenset(os.listdir(folder)) if os.path.isdir(folder) else frozenset()
-
-
-@functools.cache
-def _folder(source: Path) -> Path | None:
-    """Return the folder for the kernels of a file, or None where nothing can be kept."""
-    for folder in _candidates(source):
-        try:
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(mode=0o755, exist_ok=True)
-            if not is_private(folder):
-                continue
-            tempfile.TemporaryFile(dir=folder).close()
-        except OSError:
-            continue
-        return folder
-    return None
-
-
-def _candidates(source: Path):
-    """Yield the folders to try, the best first."""
-    place = source.resolve().parent
-    name = f"{place.name}_{hashlib.sha256(str(place).encode()).hexdigest()[:16]}"
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        yield Path(chosen) / name
-    yield source.parent / "__pycache__"
-    if sys.platform == "win32":
-        user = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        user = Path(os.path.expanduser("~/Library/Caches"))
-    else:
-        user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    yield user / "derender" / "kernels" / name
-    if hasattr(os, "getuid"):  # entries are code: nobody else may be able to put one there
-        private = Path(tempfile.gettempdir()) / f"derender-{os.getuid()}"
-        try:
-            private.mkdir(mode=0o700, exist_ok=True)
-            status = private.lstat()
-        except OSError:
-            return
-        if not private.is_symlink() and status.st_uid == os.getuid() and not status.st_mode & 0o077:
-            yield private / name
 
 
 # Compiled kernels called through their addresses: `call_for_number(address, *arguments)` in a kernel calls one that

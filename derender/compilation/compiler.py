@@ -4,7 +4,7 @@ What a kernel calls by name is compiled with it, from its source; nothing but th
 """
 
 import functools
-import gc
+import importlib
 import pickle
 import signal
 
@@ -16,6 +16,7 @@ from numba.extending import intrinsic, overload, typeof_impl
 from numba.np import arrayobj
 
 from derender.compilation import cache as kernel_cache
+from derender.compilation import entries
 from derender.compilation.entries import Code, Version
 from derender.compilation.threads import interruptible
 
@@ -36,16 +37,10 @@ def _compiled(kernel, arguments, path) -> Version:
     if vars(config)["DISABLE_JIT"]:
         return Version(kernel.py_func, 0)
     kinds = tuple(typeof(argument) for argument in arguments)
-    collecting = gc.isenabled()
-    gc.disable()  # it takes a tenth of the time
-    try:
-        kernel.dispatcher.compile(kinds)
-    finally:
-        if collecting:
-            gc.enable()
+    kernel.dispatcher.compile(kinds)
     result = kernel.dispatcher.overloads[kinds]
     if path:
-        kernel.entries.save(path, pickle.dumps(tuple(_code(kernel, result))))
+        entries.write_entry(path, pickle.dumps(tuple(_code(kernel, result))))
     address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
     return Version(result.entry_point, address)
 
@@ -81,7 +76,7 @@ def _kind_of_kernel(kernel, context):
 @typeof_impl.register(kernel_cache.Late)
 @functools.cache
 def _kind_of_late(late, context):
-    found = late.found()  # in a module that is imported only now: its words are new to numba
+    found = getattr(importlib.import_module(late.module), late.name)  # imported only now: it is new to numba
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
     return cpu_target.typing_context.resolve_value_type(found)

@@ -11,29 +11,56 @@ importing numba: compiled code needs three small C modules of it.
 import contextlib
 import ctypes
 import functools
+import glob
 import hashlib
 import importlib
 import importlib.util
 import os
 import pickle
+import re
+import stat
 import sys
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-try:
-    import fcntl
-except ImportError:  # Windows: two processes may compile the same
-    fcntl = None  # type: ignore[assignment]
+from derender.atomic import locked, write_bytes
+from derender.errors import DerenderError
 
-FORMAT = 5  # of an entry
-DIGEST = hashlib.sha256
+DIGEST, DIGEST_SIZE = hashlib.sha256, 32
+USERS = {"win32": "~/AppData/Local", "darwin": "~/Library/Caches"}  # folders of caches where no variable says it
 
 
-def numba_folder() -> Path:
+def entry_path(kernel: str, stamp: str, key: tuple) -> Path | None:
+    """Return the file of a version of a kernel; None where nothing can be kept.
+
+    kernel : its name. stamp : of its sources. key : of its arguments' types.
+    """
+    folder = _folder()
+    if folder is None:
+        return None
+    name = f"{re.sub('[<>]', '', kernel)}.{sys.implementation.cache_tag}.{stamp[:12]}"
+    return folder / f"{name}.{hashlib.sha256(repr((_machine(), stamp, key)).encode()).hexdigest()[:20]}.run"
+
+
+@functools.cache
+def _machine() -> tuple:
+    """Return what compiled code depends on besides its sources and types: the compiler, its settings, the processor."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    ours = Path(__file__)
+    sources = [each.read_bytes() for each in (_numba() / "_version.py", ours, ours.with_name("compiler.py"))]
+    settings = {key: value for key, value in os.environ.items() if key.startswith("NUMBA_") and "CACHE" not in key}
+    return (sources, llvmlite.__version__, sorted(settings.items()), llvm.get_process_triple(),
+            llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())  # fmt: skip
+
+
+def _numba() -> Path:
     """Return where numba is, which is not imported for it."""
     found = importlib.util.find_spec("numba")
     if found is None or found.origin is None:
@@ -42,23 +69,34 @@ def numba_folder() -> Path:
 
 
 @functools.cache
-def machine() -> tuple:
-    """Return what compiled code depends on besides its sources and types: the compiler, its settings, the processor."""
-    import llvmlite
-    import llvmlite.binding as llvm
+def _folder() -> Path | None:
+    """Return the folder of all entries; None where nothing can be kept.
 
-    version = (numba_folder() / "_version.py").read_bytes()
-    settings = {key: value for key, value in os.environ.items() if key.startswith("NUMBA_") and "CACHE" not in key}
-    return (hashlib.sha256(version).hexdigest(), llvmlite.__version__, sorted(settings.items()),
-            llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())  # fmt: skip
+    It is the first of these that can be written and that nobody else can write to: one in NUMBA_CACHE_DIR, the
+    package's `__pycache__`, one in the user's cache folder, and one beside temporary files.
+    """
+    package = Path(__file__).parent.parent
+    place = hashlib.sha256(str(package.resolve()).encode()).hexdigest()[:16]
+    name = f"derender-{getattr(os, 'getuid', int)()}-{place}"
+    user = os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME")
+    user = user or os.path.expanduser(USERS.get(sys.platform, "~/.cache"))
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    first = [Path(chosen, name)] if chosen else []
+    for folder in (*first, package / "__pycache__", Path(user, name), Path(tempfile.gettempdir(), name)):
+        with contextlib.suppress(OSError):
+            folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+            if is_private(folder):
+                tempfile.TemporaryFile(dir=folder).close()
+                return folder
+    return None
 
 
 def is_private(folder: Path) -> bool:
-    """Return whether a folder is this user's own and nobody else can write to it."""
+    """Return whether this is a folder of this user's own, no link to one, to which nobody else can write."""
     if not hasattr(os, "getuid"):
         return True  # Windows: the user's folders are its own
-    status = folder.stat()
-    return status.st_uid == os.getuid() and not status.st_mode & 0o022
+    status = folder.lstat()
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
 
 
 def read_entry(path: Path) -> bytes | None:
@@ -67,98 +105,61 @@ def read_entry(path: Path) -> bytes | None:
         content = path.read_bytes()
     except OSError:
         return None
-    digest, data = content[: DIGEST().digest_size], content[DIGEST().digest_size :]
-    if digest == _digest(path, data):
+    data = content[DIGEST_SIZE:]
+    if content == _signed(path, data):
         return data
-    discard(path)
+    with contextlib.suppress(OSError):
+        path.unlink()
     return None
 
 
 def write_entry(path: Path, data: bytes) -> None:
-    """Write an entry, whole or not at all, to the disk itself before it has its name; OSError where that fails."""
-    temporary = path.with_name(f"{path.name}.tmp.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(_digest(path, data) + data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    """Write an entry and delete those of other sources; a full disk costs only the compilation next time."""
+    kernel, stamp, _, _ = path.name.rsplit(".", 3)
+    with contextlib.suppress(DerenderError, OSError):
+        write_bytes(path, _signed(path, data))
+        for other in path.parent.glob(f"{glob.escape(kernel)}.*.*.run"):
+            if not other.name.startswith(f"{kernel}.{stamp}."):
+                other.unlink(missing_ok=True)
 
 
-def discard(path: Path) -> None:
-    """Delete an entry that is not what it should be."""
-    with contextlib.suppress(OSError):
-        path.unlink()
+def _signed(path: Path, data: bytes) -> bytes:
+    """Return an entry after its digest, which is also of its name: that says what it depends on."""
+    return DIGEST(path.name.encode() + b"\n" + data).digest() + data
 
 
 @contextlib.contextmanager
 def turn(entry: Path | None) -> Iterator[None]:
     """Hold the right to compile an entry: a lock of the system's on a file beside it, gone with the process."""
-    with contextlib.ExitStack() as stack:
-        if entry is not None and fcntl is not None:
-            with contextlib.suppress(OSError):  # a file system without locks: two processes may compile the same
-                lock = entry.with_suffix(".lock")
-                file = stack.enter_context(lock.open("wb"))
-                stack.callback(lock.unlink, missing_ok=True)
-                fcntl.flock(file, fcntl.LOCK_EX)
+    if entry is None:
         yield
-
-
-def _digest(path: Path, data: bytes) -> bytes:
-    """Return the digest of an entry and its name, which says what it depends on."""
-    return DIGEST(path.name.encode() + b"\n" + data).digest()
-
-
-class Entries:
-    """The compiled versions of one function, a file each."""
-
-    def __init__(self, folder: Path, base: str, stamp: str) -> None:
-        self.folder, self.base, self.stamp = folder, base, stamp
-
-    def path(self, key) -> Path:
-        digest = hashlib.sha256(repr((FORMAT, key)).encode()).hexdigest()
-        return self.folder / f"{self.base}.{self.stamp[:12]}-{digest[:20]}.run"
-
-    def save(self, path: Path, data: bytes) -> None:
-        """Write an entry and delete those of other sources; a full disk costs only the compilation next time."""
-        with contextlib.suppress(OSError):
-            write_entry(path, data)
-            for other in self.folder.glob(f"{self.base}.*.run"):
-                if not other.name.startswith(f"{self.base}.{self.stamp[:12]}-"):
-                    other.unlink(missing_ok=True)
+        return
+    lock = entry.with_suffix(".lock")
+    with contextlib.suppress(OSError):
+        lock.touch()
+    with locked(lock):  # where there are no locks, two processes may compile the same
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                lock.unlink()
 
 
 class Version(NamedTuple):
-    """A kernel compiled for arguments of certain types.
+    """A kernel compiled for arguments of certain types."""
 
-    Attributes
-    ----------
-    call : what Python calls; None where the kernel is called by its address alone.
-    address : of the function in compiled code.
-    """
-
-    call: Callable | None
-    address: int
+    call: Any  # what Python calls; None where the kernel is called by its address alone
+    address: int  # of the function in compiled code
 
 
 class Code(NamedTuple):
-    """What an entry holds.
+    """What an entry holds."""
 
-    Attributes
-    ----------
-    name, wrapper : symbols of the function and of its entry for Python ("" for none). title : the kernel's name.
-    machine : an object file.
-    environments : (symbol, module, constants) of the function and of those compiled into it.
-    """
-
-    name: str
-    wrapper: str
-    title: str
-    machine: bytes
-    environments: list[tuple[str, str, list[Any]]]
+    name: str  # the function's symbol
+    wrapper: str  # the symbol of its entry for Python, "" for none
+    title: str  # the kernel's name
+    machine: bytes  # an object file
+    environments: list[tuple[str, str, list[Any]]]  # (symbol, module, constants) of it and of those compiled into it
 
 
 def fingerprints(arguments) -> tuple:
@@ -166,14 +167,12 @@ def fingerprints(arguments) -> tuple:
     return tuple(["generator" if isinstance(each, np.random.Generator) else fingerprint(each) for each in arguments])
 
 
-def load(path: Path) -> Version | None:
-    """Return the version in a file, or None where there is none that is whole."""
-    data = read_entry(path)
+def load(path: Path | None) -> Version | None:
+    """Return the version in a file, or None where there is none that is whole, or where numba links in its own way."""
+    data = read_entry(path) if path is not None and sys.platform != "win32" else None
     if data is None:
         return None
     code = Code(*pickle.loads(data))
-    if not code.machine:  # LLVM would end the process
-        return None
     import llvmlite.binding as llvm
 
     engine = _engine()
@@ -237,7 +236,7 @@ def _parts(*names: str) -> list[ModuleType]:
     """Return C modules of numba, numba itself not imported: packages without contents stand in for it meanwhile."""
     stand_ins = []
     if "numba" not in sys.modules:
-        root = numba_folder()
+        root = _numba()
         for package, folder in (("numba", root), ("numba.core", root / "core"),
                                 ("numba.core.runtime", root / "core" / "runtime")):  # fmt: skip
             sys.modules[package] = ModuleType(package)

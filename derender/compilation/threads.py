@@ -6,7 +6,6 @@ import importlib.util
 import os
 import signal
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -75,33 +74,18 @@ def interruptible() -> Iterator[threading.Event]:
 
 
 def run_together(*tasks: Callable[[], Any]) -> list:
-    """Return what each task gives, done in this thread and in others beside it.
+    """Return what each task gives, done in several threads; of faults the first task's, once what was begun is done."""
+    if threads() == 1 or len(tasks) == 1:
+        return [task() for task in tasks]
+    from concurrent.futures import ThreadPoolExecutor
 
-    The first fault is raised once every thread is done with the task that it is at; no other is begun then.
-    """
-    results, left, faults = [None] * len(tasks), deque(enumerate(tasks)), list[BaseException]()
-
-    def work():
-        with contextlib.suppress(IndexError):
-            while not faults:
-                number, task = left.popleft()
-                try:
-                    results[number] = task()
-                except BaseException as fault:
-                    faults.append(fault)
-
-    others = [threading.Thread(target=work) for _ in range(min(len(tasks), threads()) - 1)]
-    for other in others:
-        other.start()
-    try:
-        work()
-    finally:
-        left.clear()
-        for other in others:
-            other.join()
-    if faults:
-        raise faults[0]
-    return results
+    with ThreadPoolExecutor(threads()) as pool:
+        futures = [pool.submit(task) for task in tasks]
+        try:
+            return [future.result() for future in futures]
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def in_threads(rng, tasks: Sequence[Callable[[Any], Any]]) -> list:

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 
-from derender.compilation.cache import when_compiling
+from derender.compilation.cache import helpers
 
 WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compiled for
 
@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compile
 def precompile() -> None:
     """Have what draws compiled beside this process, should it compile anything; with one processor, not."""
     if len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1:
-        when_compiling(_start)
+        helpers.append(_start)
 
 
 @functools.cache  # it keeps the pipe to the other process open as long as this one lives

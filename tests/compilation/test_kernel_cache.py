@@ -1,5 +1,6 @@
 """The cache of compiled functions: never stale, anywhere, for any number of processes."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -10,8 +11,12 @@ import numpy as np
 import pytest
 
 import derender
-from derender.compilation.cache import PACKAGE, Kernel, njit
-from derender.compilation.entries import Entries, fcntl, is_private, read_entry
+from derender.atomic import fcntl
+from derender.compilation import entries
+from derender.compilation.cache import Kernel, njit
+from derender.compilation.entries import is_private, read_entry
+
+PACKAGE = Path(derender.__file__).parent
 
 PROBE = """
 import sys
@@ -45,7 +50,7 @@ class Pair(NamedTuple):
     factor: float
 
 @njit(cache=True, nogil=True)
-def kernel(rng, pair, more=2.0):
+def kernel(rng, pair, more):
     if pair.factor < 0.0:
         raise ValueError("a negative factor")
     return pair.factor * pair.values + more, rng.random(), (len(pair.values), more > 1.0)
@@ -59,7 +64,7 @@ def told(*arguments):
 if __name__ == "__main__":
     values = np.arange(3.0)
     for given in (Pair(values, 2.0), Pair(values, -1.0), Pair(values[::2], 2.0), Pair(np.float32(values), 2.0)):
-        print(told(given), told(given, 0.5), told(given, 1))
+        print(told(given, 0.5), told(given, 1))
     print("numba" in sys.modules)
 """
 
@@ -71,6 +76,8 @@ def package(tmp_path):
     folder.mkdir()
     (folder / "__init__.py").write_text("")
     shutil.copytree(PACKAGE / "compilation", folder / "compilation", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("atomic.py", "errors.py"):
+        shutil.copy(PACKAGE / name, folder)
     (folder / "answer.py").write_text("ANSWER = 41\n")
     (folder / "probe.py").write_text(PROBE)
     return folder
@@ -107,6 +114,44 @@ def test_compiles_once_says_so_once_and_notices_a_constant_elsewhere(package):
     assert not any(entry.exists() for entry in entries)  # stale entries are deleted
 
 
+OTHER = """
+from typing import NamedTuple
+import numpy as np
+from derender.compilation.cache import njit
+
+TABLE = np.array([1.0, 2.0])
+
+class Pair(NamedTuple):
+    first: int
+    second: int
+
+@njit(cache=True, nogil=True)
+def other(x):
+    \"\"\"Say something.\"\"\"
+    return x + 1
+"""
+CALLS = PROBE.replace("return inner(x)", "return inner(other(x)) + Pair(1, 20).first + int(TABLE[1])")
+CALLS = CALLS.replace("from derender.answer", "from derender.other import TABLE, Pair, other\nfrom derender.answer")
+
+
+def test_a_change_of_what_is_compiled_in_is_noticed_and_one_of_words_is_not(package):
+    """By a source file's digest a comment cost as much as a change of the code."""
+
+    def changed(old, new):
+        text = (package / "other.py").read_text()
+        assert old in text
+        (package / "other.py").write_text(text.replace(old, new))
+        return run(package)[0]
+
+    (package / "probe.py").write_text(CALLS)
+    (package / "other.py").write_text(OTHER)
+    assert run(package)[0] == ["46", "False"]
+    assert changed("Say something.", "Say something else.\n") == ["46", "True"]
+    assert changed("x + 1", "x + 2  # no longer 1") == ["47", "False"]
+    assert changed("2.0", "12.0") == ["57", "False"]
+    assert changed("first: int\n    second", "second: int\n    first") == ["76", "False"]
+
+
 def test_what_was_compiled_is_called_without_numba(package):
     """Its answers, faults, arrays, tuples, defaults and random numbers are numba's."""
     (package / "probe.py").write_text(WARM)
@@ -136,7 +181,8 @@ def test_where_nothing_can_be_written_it_compiles_each_time(package, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     if hasattr(os, "getuid"):
-        (temporary / f"derender-{os.getuid()}").symlink_to(tmp_path)  # somebody else's trap: not used
+        digest = hashlib.sha256(str(package).encode()).hexdigest()[:16]
+        (temporary / f"derender-{os.getuid()}-{digest}").symlink_to(tmp_path)  # somebody else's trap: not used
     for _ in range(2):
         assert run(package, TMPDIR=str(temporary), **broken)[0] == ["42", "False"]
 
@@ -151,7 +197,7 @@ def test_processes_that_start_together_do_not_harm_each_other(package):
         loaded.append(out.split()[1])
     assert sorted(loaded) == (["False", "True", "True", "True"] if fcntl else sorted(loaded))
     assert run(package)[0] == ["42", "True"]
-    assert not list(package.rglob("*.tmp.*")) and not list(package.rglob("*.lock"))
+    assert not list(package.rglob(".*.run")) and not list(package.rglob("*.lock"))
 
 
 def test_what_cannot_be_compiled_is_nobodys_turn_any_more(package):
@@ -178,10 +224,10 @@ def test_a_process_that_dies_while_it_compiles_holds_up_nobody(package):
 
 
 import os
-from derender.compilation.entries import Entries
+from derender.compilation import entries
 
 if os.environ.get("DIE"):
-    Entries.save = lambda *_: os._exit(9)
+    entries.write_entry = lambda *_: os._exit(9)
 
 
 @njit(cache=True, nogil=True)
@@ -286,14 +332,17 @@ def test_a_closure_that_holds_what_has_no_name_is_refused():
 # ---- damage ----
 
 
-@pytest.fixture(scope="module")
-def entry(tmp_path_factory):
+def tiny():
+    """Return a kernel of one line."""
+    return Kernel(lambda x: x + 1, True, {})
+
+
+@pytest.fixture
+def entry(tmp_path, monkeypatch):
     """The entry of a kernel of one line, and what it holds."""
-    folder = tmp_path_factory.mktemp("entries")
-    kernel = Kernel(lambda x: x + 1, True, {})
-    kernel.entries = Entries(folder, "tiny", "0" * 64)
-    assert kernel(1) == 2
-    (path,) = folder.glob("*.run")
+    monkeypatch.setattr(entries, "_folder", lambda: tmp_path)
+    assert tiny()(1) == 2
+    (path,) = tmp_path.glob("*.run")
     return path, path.read_bytes()
 
 
@@ -318,7 +367,7 @@ def damaged(rng, content, number):
 def test_broken_entries_are_deleted_and_never_run(entry):
     path, content = entry
     rng = np.random.default_rng(5)
-    for number in range(500):
+    for number in range(1000):
         broken = damaged(rng, content, number)
         path.write_bytes(broken)
         if broken != content:
@@ -329,9 +378,7 @@ def test_a_kernel_with_a_broken_entry_is_compiled_again(entry):
     path, content = entry
     for broken in (content[:-1], b"", content[:40] + b"\0" + content[41:]):
         path.write_bytes(broken)
-        kernel = Kernel(lambda x: x + 1, True, {})
-        kernel.entries = Entries(path.parent, "tiny", "0" * 64)
-        assert kernel(1) == 2
+        assert tiny()(1) == 2
         assert read_entry(path) is not None
 
 
@@ -363,8 +410,8 @@ def test_processes_do_not_run_what_lies_in_the_current_folder(tmp_path):
 
 
 INTERRUPTED = """
+from derender.compilation import entries
 from derender.compilation.cache import njit
-from derender.compilation.entries import Entries
 
 @njit(cache=True, nogil=True)
 def kernel(x):
@@ -374,11 +421,11 @@ if __name__ == "__main__":
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    save, Entries.save = Entries.save, interrupt
+    write, entries.write_entry = entries.write_entry, interrupt
     try:
         kernel(1.0)
     except KeyboardInterrupt:
-        Entries.save = save
+        entries.write_entry = write
     print(kernel(1.0))
 """
 

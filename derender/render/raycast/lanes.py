@@ -16,8 +16,12 @@ from numba.core import cgutils, config, types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
-from derender.render.raycast import lane_code as code
 from derender.render.raycast.lane_names import LANES
+
+FLOATS = ir.VectorType(ir.FloatType(), LANES)
+DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
+TABLE = ir.VectorType(ir.FloatType(), 8)
+INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 
 
 class _LanesType(types.Type):
@@ -27,7 +31,7 @@ class _LanesType(types.Type):
 float_lanes = _LanesType("float32x16")
 double_lanes = _LanesType("float64x16")
 small_table = _LanesType("float32x8")
-_MODELS = {float_lanes.name: code.FLOATS, double_lanes.name: code.DOUBLES, small_table.name: code.TABLE}
+_MODELS = {float_lanes.name: FLOATS, double_lanes.name: DOUBLES, small_table.name: TABLE}
 
 
 def machine_has(feature: str) -> bool:
@@ -36,6 +40,50 @@ def machine_has(feature: str) -> bool:
     if features is not None:
         return f"+{feature}" in features
     return bool(binding.get_host_cpu_features().get(feature))
+
+
+def _constant(value: float) -> ir.Constant:
+    """Sixteen times a float32."""
+    return ir.Constant(FLOATS, [ir.Constant(ir.FloatType(), value)] * LANES)
+
+
+def _integer(value: int) -> ir.Constant:
+    """Sixteen times an int32."""
+    return ir.Constant(INTEGERS, [ir.Constant(ir.IntType(32), value)] * LANES)
+
+
+def _splat(builder, scalar, vector_type=FLOATS):
+    """Sixteen copies of a value."""
+    single = builder.insert_element(ir.Constant(vector_type, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+    return builder.shuffle_vector(single, ir.Constant(vector_type, ir.Undefined), zeros)
+
+
+def _call(builder, name, *arguments):
+    """Call an LLVM intrinsic on lanes."""
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(arguments[0].type, [a.type for a in arguments]), f"llvm.{name}.v{LANES}f32"
+    )
+    return builder.call(function, arguments)
+
+
+def _multiply_add(builder, a, b, c):
+    """a b + c, rounded once where the machine can."""
+    return _call(builder, "fmuladd", a, b, c)
+
+
+def _address(context, builder, array_type, array, row, column):
+    """Pointer to element (row, column) of a C-contiguous 2-D float32 array."""
+    struct = context.make_array(array_type)(context, builder, array)
+    stride = builder.extract_value(struct.strides, 0)
+    offset = builder.add(builder.mul(row, stride), builder.shl(column, ir.Constant(column.type, 2)))
+    data = builder.bitcast(struct.data, ir.IntType(8).as_pointer())
+    return builder.bitcast(builder.gep(data, [offset]), FLOATS.as_pointer())
+
+
+def _load(builder, pointer):
+    """Sixteen neighbours, wherever they begin."""
+    return builder.load(pointer, align=4)
 
 
 @register_model(_LanesType)
@@ -68,7 +116,7 @@ def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
         return None
 
     def generate(context, builder, signature, arguments):
-        return code.load(builder, code.address(context, builder, signature.args[0], *arguments))
+        return _load(builder, _address(context, builder, signature.args[0], *arguments))
 
     return float_lanes(array, types.int64, types.int64), generate
 
@@ -80,7 +128,7 @@ def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
         return None
 
     def generate(context, builder, signature, arguments):
-        builder.store(arguments[3], code.address(context, builder, signature.args[0], *arguments[:3]), align=4)
+        builder.store(arguments[3], _address(context, builder, signature.args[0], *arguments[:3]), align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.int64, types.int64, float_lanes), generate
@@ -89,14 +137,14 @@ def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
 @_emitted(types.float32)
 def splat(builder, value):
     """Sixteen copies of a number."""
-    return code.splat(builder, value)
+    return _splat(builder, value)
 
 
 @_emitted(types.int64)
 def steps_from(builder, start):
     """start, start + 1, ..., start + 15 (exact up to 2^24)."""
-    ramp = ir.Constant(code.FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
-    return builder.fadd(code.splat(builder, builder.sitofp(start, ir.FloatType())), ramp)
+    ramp = ir.Constant(FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
+    return builder.fadd(_splat(builder, builder.sitofp(start, ir.FloatType())), ramp)
 
 
 @_emitted(float_lanes, float_lanes)
@@ -135,7 +183,7 @@ def minimum(builder, a, b):
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
-multiply_add = _emitted(float_lanes, float_lanes, float_lanes)(code.multiply_add)
+multiply_add = _emitted(float_lanes, float_lanes, float_lanes)(_multiply_add)
 
 
 @_emitted(float_lanes, float_lanes, float_lanes, float_lanes)
@@ -154,13 +202,13 @@ def all_at_least(builder, a, b):
 @_emitted(gives=double_lanes)
 def zero_sum(builder):
     """Sixteen float64 zeros: the start of a sum."""
-    return ir.Constant(code.DOUBLES, None)
+    return ir.Constant(DOUBLES, None)
 
 
 @_emitted(double_lanes, float_lanes, gives=double_lanes)
 def accumulate(builder, total, value):
     """Sixteen float64 running sums plus sixteen float32."""
-    return builder.fadd(total, builder.fpext(value, code.DOUBLES))
+    return builder.fadd(total, builder.fpext(value, DOUBLES))
 
 
 @_emitted(double_lanes, gives=types.float64)
@@ -182,7 +230,7 @@ def load_table(typing: Any, array: Any, first: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
         eight = ir.VectorType(ir.DoubleType(), 8)
         at = builder.bitcast(builder.gep(data, [arguments[1]]), eight.as_pointer())
-        return builder.fptrunc(builder.load(at, align=8), code.TABLE)
+        return builder.fptrunc(builder.load(at, align=8), TABLE)
 
     return small_table(array, types.int64), generate
 
@@ -190,84 +238,84 @@ def load_table(typing: Any, array: Any, first: Any) -> Any:
 @_emitted(small_table, float_lanes)
 def look_up(builder, table, place):
     """The entries of a table at sixteen places, each 0, 1, ..., or 7."""
-    places = builder.fptosi(place, code.INTEGERS)
+    places = builder.fptosi(place, INTEGERS)
     if not machine_has("avx2"):
-        value = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), 0)))
+        value = _splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), 0)))
         for k in range(1, 8):
-            entry = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), k)))
-            value = builder.select(builder.icmp_signed("==", places, code.integer(k)), entry, value)
+            entry = _splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), k)))
+            value = builder.select(builder.icmp_signed("==", places, _integer(k)), entry, value)
         return value
     index = ir.VectorType(ir.IntType(32), 8)
     permute = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(code.TABLE, [code.TABLE, index]), "llvm.x86.avx2.permps"
+        builder.module, ir.FunctionType(TABLE, [TABLE, index]), "llvm.x86.avx2.permps"
     )
     halves = [
         builder.call(permute, [table, builder.shuffle_vector(places, places, ir.Constant(index, list(part)))])
         for part in (range(8), range(8, LANES))
     ]
-    return builder.shuffle_vector(*halves, ir.Constant(code.INTEGERS, list(range(LANES))))
+    return builder.shuffle_vector(*halves, ir.Constant(INTEGERS, list(range(LANES))))
 
 
 @_emitted(float_lanes)
 def reciprocal(builder, a):
     """1 / a to the last bit or the last but one; an estimate and a Newton step where that is faster than dividing."""
-    one = code.constant(1.0)
+    one = _constant(1.0)
     if not machine_has("avx512f"):  # which has reciprocals of 14 bits
         return builder.fdiv(one, a)
     mask = ir.IntType(16)
-    kind = ir.FunctionType(code.FLOATS, [code.FLOATS, code.FLOATS, mask])
+    kind = ir.FunctionType(FLOATS, [FLOATS, FLOATS, mask])
     estimate = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.avx512.rcp14.ps.512")
     first = builder.call(estimate, [a, one, ir.Constant(mask, -1)])
-    error = code.multiply_add(builder, builder.fneg(a), first, one)
-    return code.multiply_add(builder, first, error, first)
+    error = _multiply_add(builder, builder.fneg(a), first, one)
+    return _multiply_add(builder, first, error, first)
 
 
 @_emitted(float_lanes)
 def square_root(builder, a):
     """The square root; NaN of a negative number."""
-    return code.call(builder, "sqrt", a)
+    return _call(builder, "sqrt", a)
 
 
 @_emitted(float_lanes)
 def absolute(builder, a):
     """The absolute value."""
-    return code.call(builder, "fabs", a)
+    return _call(builder, "fabs", a)
 
 
 @_emitted(float_lanes)
 def exponential(builder, x):
     """e^x for x <= 0, relative error 1e-7; e^-87 below -87."""
-    least = code.constant(-87.0)
+    least = _constant(-87.0)
     x = builder.select(builder.fcmp_ordered(">", x, least), x, least)
-    n = code.call(builder, "rint", builder.fmul(x, code.constant(1.4426950408889634)))
-    r = code.multiply_add(builder, n, code.constant(-0.693359375), x)
-    r = code.multiply_add(builder, n, code.constant(2.12194440e-4), r)
-    p = code.constant(1.9875691500e-4)  # Cephes' expf
+    n = _call(builder, "rint", builder.fmul(x, _constant(1.4426950408889634)))
+    r = _multiply_add(builder, n, _constant(-0.693359375), x)
+    r = _multiply_add(builder, n, _constant(2.12194440e-4), r)
+    p = _constant(1.9875691500e-4)  # Cephes' expf
     for term in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
-        p = code.multiply_add(builder, p, r, code.constant(term))
-    p = code.multiply_add(builder, p, builder.fmul(r, r), builder.fadd(r, code.constant(1.0)))
-    power = builder.shl(builder.add(builder.fptosi(n, code.INTEGERS), code.integer(127)), code.integer(23))
-    return builder.fmul(p, builder.bitcast(power, code.FLOATS))
+        p = _multiply_add(builder, p, r, _constant(term))
+    p = _multiply_add(builder, p, builder.fmul(r, r), builder.fadd(r, _constant(1.0)))
+    power = builder.shl(builder.add(builder.fptosi(n, INTEGERS), _integer(127)), _integer(23))
+    return builder.fmul(p, builder.bitcast(power, FLOATS))
 
 
 @_emitted(float_lanes)
 def logarithm(builder, x):
     """The natural logarithm of a normal positive number, relative error 1e-7."""
-    bits = builder.bitcast(x, code.INTEGERS)
+    bits = builder.bitcast(x, INTEGERS)
     # split at sqrt(1/2) so that the mantissa minus one is small on both sides
-    shifted = builder.sub(bits, code.integer(0x3F3504F3))
-    exponent = builder.sitofp(builder.ashr(shifted, code.integer(23)), code.FLOATS)
-    mantissa = builder.add(builder.and_(shifted, code.integer(0x007FFFFF)), code.integer(0x3F3504F3))
-    m = builder.fsub(builder.bitcast(mantissa, code.FLOATS), code.constant(1.0))
+    shifted = builder.sub(bits, _integer(0x3F3504F3))
+    exponent = builder.sitofp(builder.ashr(shifted, _integer(23)), FLOATS)
+    mantissa = builder.add(builder.and_(shifted, _integer(0x007FFFFF)), _integer(0x3F3504F3))
+    m = builder.fsub(builder.bitcast(mantissa, FLOATS), _constant(1.0))
     square = builder.fmul(m, m)
-    p = code.constant(7.0376836292e-2)  # Cephes' logf
+    p = _constant(7.0376836292e-2)  # Cephes' logf
     for term in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1,
                  -1.6668057665e-1, 2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1):  # fmt: skip
-        p = code.multiply_add(builder, p, m, code.constant(term))
+        p = _multiply_add(builder, p, m, _constant(term))
     y = builder.fmul(builder.fmul(p, m), square)
-    y = code.multiply_add(builder, exponent, code.constant(-2.12194440e-4), y)
-    y = code.multiply_add(builder, square, code.constant(-0.5), y)
-    return code.multiply_add(builder, exponent, code.constant(0.693359375), builder.fadd(y, m))
+    y = _multiply_add(builder, exponent, _constant(-2.12194440e-4), y)
+    y = _multiply_add(builder, square, _constant(-0.5), y)
+    return _multiply_add(builder, exponent, _constant(0.693359375), builder.fadd(y, m))
 
 
 class _WindowType(types.Type):
@@ -281,7 +329,7 @@ class _WindowType(types.Type):
 @register_model(_WindowType)
 class _WindowModel(models.PrimitiveModel):
     def __init__(self, manager, numba_type):
-        super().__init__(manager, numba_type, ir.ArrayType(code.FLOATS, 2 * numba_type.radius + 1))
+        super().__init__(manager, numba_type, ir.ArrayType(FLOATS, 2 * numba_type.radius + 1))
 
 
 @intrinsic(prefer_literal=True)
@@ -292,7 +340,7 @@ def new_window(typing, value, radius):
     window = _WindowType(radius.literal_value)
 
     def generate(context, builder, signature, arguments):
-        result = ir.Constant(ir.ArrayType(code.FLOATS, 2 * window.radius + 1), ir.Undefined)
+        result = ir.Constant(ir.ArrayType(FLOATS, 2 * window.radius + 1), ir.Undefined)
         for k in range(2 * window.radius + 1):
             result = builder.insert_value(result, arguments[0], k)
         return result
@@ -344,7 +392,7 @@ def blur_along_row(typing, array, row, column, taps, radius):
 
         def at(offset):
             shifted = builder.add(column, ir.Constant(column.type, offset))
-            return code.load(builder, code.address(context, builder, signature.args[0], array, row, shifted))
+            return _load(builder, _address(context, builder, signature.args[0], array, row, shifted))
 
         pairs = [(at(-k), at(k)) for k in range(1, count + 1)]
         return _symmetric_sum(builder, weights, at(0), pairs)
@@ -356,11 +404,11 @@ def _symmetric_sum(builder, taps, centre, pairs):
     """taps[0] centre + sum_k taps[k] (left_k + right_k), in one fixed order."""
     value = builder.fmul(taps[0], centre)
     for tap, (left, right) in zip(taps[1:], pairs, strict=True):
-        value = code.multiply_add(builder, tap, builder.fadd(left, right), value)
+        value = _multiply_add(builder, tap, builder.fadd(left, right), value)
     return value
 
 
 def _taps(context, builder, array_type, array, count):
     struct = context.make_array(array_type)(context, builder, array)
     index = ir.IntType(64)
-    return [code.splat(builder, builder.load(builder.gep(struct.data, [ir.Constant(index, k)]))) for k in range(count)]
+    return [_splat(builder, builder.load(builder.gep(struct.data, [ir.Constant(index, k)]))) for k in range(count)]
