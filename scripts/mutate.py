@@ -27,7 +27,8 @@ TIMEOUT = 1800.0  # seconds for the tests of one mutation
 
 JUMPS = ("tests/structures/test_jumps.py", "tests/structures/test_jump_choices.py")
 KERNELS = ("tests/posterior/test_kernels.py",)
-COMPILED = ("tests/posterior/test_compiled.py", *KERNELS)
+ANEW = ("tests/structures/test_contacts_anew.py",)
+COMPILED = ("tests/posterior/test_compiled.py", *ANEW, *KERNELS)
 WEIGHTS = ("tests/structures/test_structure_weights.py",)
 DRAWS = ("tests/structures/test_graph_posterior.py", *WEIGHTS)
 FLUSH = ("tests/structures/test_flush_cuts.py",)
@@ -83,13 +84,10 @@ MUTATIONS = [
          "values[NEXT, DENSITY] - values[NOW, DENSITY]",
          KERNELS),
         ("relocate: no ratio", "posterior/kernels/relocate.py", "- math.log(mixture_density(places, periods, new))",
-         "- math.log(mixture_density(places, periods, old))", KERNELS),
-        ("put down: no jacobian", "posterior/compiled/backend.py", "return log_ratio + found[1]",
-         "return log_ratio", KERNELS),
-        ("keep children: no jacobian", "posterior/compiled/backend.py", "return kept[1]", "return 0.0", KERNELS),
+         "- math.log(mixture_density(places, periods, old))", ANEW),
         ("turn: shifts one way", "posterior/kernels/relocate.py",
          "factor * (places[i * number + first] - places[i * number + second])",
-         "factor * abs(places[i * number + first] - places[i * number + second])", KERNELS),
+         "factor * abs(places[i * number + first] - places[i * number + second])", ANEW),
         ("resimulate: own prior left out", "posterior/kernels/base.py",
          "return log_prior(unknowns, laws, values[NOW]) - log_prior(unknowns, laws, values[NEXT])", "return 0.0",
          KERNELS),

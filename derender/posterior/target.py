@@ -8,14 +8,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
 from derender.posterior.space import Block, Space, Unknown, wrap
-from derender.scene import polygon
-from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
-from derender.scene.pose import inverse, rotation_z, translation
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -140,12 +136,6 @@ def _can_relocate(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
     return placed and level and (not graph.descendants(name) or _can_slide(graph, block, unknown))
 
 
-area_element = interpreted(polygon.area_element)
-TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # from a face's frame to that of the face that meets it
-MOST_ARCHIVES = 16  # of which the placements are remembered
-NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
-
-
 class Images(Protocol):
     """What the target asks of `render`: a likelihood bound to one observed image."""
 
@@ -207,7 +197,6 @@ class SceneTarget:
         }
         self.bases = bases_of(graph, self.space.relocations, set(self.space.addresses))
         self.uncompiled = ""  # what had no compiled form when a backend was asked for, see `backend_of`
-        self._placements: dict[bytes, dict[str, np.ndarray]] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
     def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
@@ -264,103 +253,9 @@ class SceneTarget:
         }
         return self.images.log_likelihood(self.graph(values), parameters)
 
-    def keep_children(self, values: np.ndarray, moved: np.ndarray, block: Block) -> tuple[np.ndarray, float] | None:
-        """Return `moved` with contacts of the block's object's descendants such that all of them stay in the world.
-
-        Also the log of the product of |d phi' / d phi| over them; None where a child would leave its contact.
-        """
-        (name,), before = block.objects, self.graph(values)
-        return self._reattached(before, moved, {name: self.graph(moved).poses()[name]}, name)
-
-    def _reattached(
-        self, before: SceneGraph, moved: np.ndarray, there: Mapping[str, np.ndarray], settled: str = ""
-    ) -> tuple[np.ndarray, float] | None:
-        """Return `moved` with contacts such that objects stand `there` (in the camera), all others as `before`.
-
-        settled : one of them whose own contact in `moved` puts it there already.
-
-        Also the log of the product of |d phi' / d phi| at fixed motion in the world. In metres and radians contacts
-        move rigidly, which has Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2).
-        An angle is folded into its period, which turns the object's axes by a symmetry of it, so that its children get
-        new contacts too. None where one would leave its contact.
-        """
-        poses = {**before.poses(), **there}
-        turned = {settled}
-        kept = moved.copy()
-        log_jacobian = 0.0
-        for vertex in before.vertices:
-            name = vertex.name
-            if name == settled or not (name in there or vertex.parent in turned):
-                continue
-            contact, kind = vertex.contact, contacts[vertex.contact.type]
-            on, by = before.body(vertex.parent), vertex.body
-            relative = inverse(poses[vertex.parent]) @ poses[name]
-            found = kind.invert(relative, on, by, contact.parent_face, contact.child_face)
-            slack = [abs(value - contact.values.get(key, 0.0)) for key, value in found.slack.items()]
-            if found.outside > 1e-9 or found.angle > NEAR or max(slack, default=0.0) > NEAR:
-                return None
-            phi = dict(found.phi)
-            phi["theta"] = fold(phi["theta"], *self.folds[f"{name}.contact.theta"])
-            if name in there or abs(fold(found.phi["theta"] - phi["theta"], 0.0, math.tau)) > 1e-6:
-                turned.add(name)
-                numbers = {**contact.values, **phi}
-                pose = kind.relative_pose(numbers, on, by, contact.parent_face, contact.child_face)
-                poses[name] = poses[vertex.parent] @ pose
-            for key, value in phi.items():
-                kept[self._index[f"{name}.contact.{key}"]] = value
-            if "u" in phi:
-                sides = polygon.sides(on.face(contact.faces[0]).outline, by.face(contact.faces[1]).outline)
-                log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *sides))
-                log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *sides))
-        return kept, log_jacobian
-
     def placement_periods(self, name: str) -> tuple[float, ...]:
         """Return the periods of the numbers of an object's placement, 0 of lengths."""
         return self.folds[f"{name}.contact.theta"][1], 0.0, 0.0
-
-    def _frames(self, graph: SceneGraph, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return (4, 4) to the camera: the face below everything, and the turned face that the object stands on."""
-        base, face = self.bases[name]
-        vertex, poses = graph.vertex(name), graph.poses()
-        below = poses[base] @ graph.body(base).face(face).frame
-        return below, poses[name] @ vertex.body.face(vertex.contact.faces[1]).frame @ TURNED
-
-    def placement(self, values: np.ndarray, name: str) -> np.ndarray:
-        """Return w = (angle, x, y) of an object on the lowest parallel face below it."""
-        return self._place(self.graph(values), name)
-
-    def _place(self, graph: SceneGraph, name: str) -> np.ndarray:
-        below, own = self._frames(graph, name)
-        relative = inverse(below) @ own
-        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.placement_periods(name)[0])
-        return np.array([angle, relative[0, 3], relative[1, 3]])
-
-    def placements(self, name: str, archive: np.ndarray) -> np.ndarray:
-        """Return (K, 3), the placement of an object in each of (K, P) values."""
-        content = archive.tobytes()
-        if content not in self._placements:
-            graphs = [self.graph(values) for values in archive]
-            found = {one: np.array([self._place(graph, one) for graph in graphs]) for one in self.bases}
-            if len(self._placements) >= MOST_ARCHIVES:
-                self._placements.clear()
-            self._placements[content] = found
-            return found[name]
-        return self._placements[content][name]
-
-    def put(self, values: np.ndarray, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, float] | None:
-        """Return the values with objects at other placements, at their heights, and all others where they are.
-
-        Also the log of the product of |d phi' / d phi| at fixed w; None where one would lose its contact.
-        """
-        graph = self.graph(values)
-        there = {}
-        for name, place in places.items():
-            below, own = self._frames(graph, name)
-            height = (inverse(below) @ own)[2, 3]
-            face = graph.vertex(name).body.face(graph.vertex(name).contact.faces[1])
-            put = below @ translation(place[1], place[2], height) @ rotation_z(place[0])
-            there[name] = put @ TURNED @ inverse(face.frame)
-        return self._reattached(graph, values, there)
 
 
 def default_parts() -> list[dict[str, Mapping[str, Any]]]:

@@ -13,9 +13,8 @@ class World:
 
     noise = 0.5
 
-    def __init__(self, unknowns, blocks, model, slides=(), relocations=(), below=()):
+    def __init__(self, unknowns, blocks, model):
         self.space = Space(unknowns, blocks)
-        self.space.slides, self.space.relocations, self.space.below = slides, relocations, dict(below)
         self.model = model
 
     def target(self, rng, values):
@@ -37,36 +36,6 @@ class Target:
     def summary(self):
         return self.data
 
-    def keep_children(self, values, moved, block):
-        """The child's place in the world is x + s(x) u; u becomes what keeps it there."""
-        x, u, new = values[1], values[2], moved[1]
-        kept = moved.copy()
-        kept[2] = (x + _stretch(x) * u - new) / _stretch(new)
-        return kept, math.log(_stretch(x) / _stretch(new))
-
-    def placement_periods(self, name):
-        return {"a": (math.pi, 0.0), "b": (0.0,)}[name]
-
-    def placement(self, values, name):
-        """The place of a in the world: its angle, and x + x^3; of b: x + s(x) u."""
-        theta, x, u = values
-        return np.array([theta, x + x**3]) if name == "a" else np.array([x + _stretch(x) * u])
-
-    def placements(self, name, archive):
-        return np.array([self.placement(values, name) for values in archive])
-
-    def put(self, values, places):
-        """The Jacobians |dx' / dx| = (1 + 3 x^2) / (1 + 3 x'^2) and |du' / du| = s(x) / s(x') at the same motion."""
-        (_, x, u), moved, log_jacobian = values, values.copy(), 0.0
-        if "a" in places:
-            far = places["a"][1]
-            root = 2 / math.sqrt(3) * math.sinh(math.asinh(1.5 * math.sqrt(3) * far) / 3)  # of x + x^3 = far
-            moved[:2] = places["a"][0], root
-            log_jacobian += math.log((1 + 3 * x * x) / (1 + 3 * root * root))
-        where = places["b"][0] if "b" in places else x + _stretch(x) * u
-        moved[2] = (where - moved[1]) / _stretch(moved[1])
-        return moved, log_jacobian + math.log(_stretch(x) / _stretch(moved[1]))
-
 
 def _stretch(x):
     return math.exp(1.2 * x)
@@ -85,8 +54,7 @@ def angle_and_child():
         theta, x, u = values
         return np.array([math.sin(2 * theta) + x, math.cos(2 * theta), x + _stretch(x) * u])
 
-    relocations = ("a.contact", "b.contact")
-    return World(unknowns, blocks, model, slides=("a.contact",), relocations=relocations, below={"b": "a"})
+    return World(unknowns, blocks, model)
 
 
 def box_with_sides():

@@ -29,8 +29,6 @@ from derender.posterior.compiled.model import (
 )
 from derender.posterior.compiled.prior import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
 from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
-from derender.posterior.kernels.relocate import mixture_of
-from derender.posterior.space import Block
 from derender.posterior.target import SceneTarget
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
@@ -46,8 +44,8 @@ class _Engine(NamedTuple):
 class InterpretedBackend:
     """Runs a mixture on any target, a few thousand steps a second: the compiled sweep's own source, not compiled.
 
-    What the compiled sweep asks of the engine is asked of the target here: densities, and where children stay
-    (`keep_children`) or objects are put down (`put`).
+    What the compiled sweep asks of the engine, densities, is asked of the target here. Where objects are in the world
+    it does not know: what stands on an object rides along with it, and none is put down anew.
 
     replaced : functions by name, in place of those that the sweep and the proposals call by that name.
     """
@@ -79,12 +77,10 @@ class InterpretedBackend:
     def program(self, tuning: Tuning) -> Kernels:
         """Return the mixture's arrays under a tuning."""
         if self._tuned is None or self._tuned[0] is not tuning:
-            target: Any = self.target
-            placing = {k: part.block.objects for k, part in enumerate(self.parts)
-                       if kernels[part.type].form == PLACING}  # fmt: skip
-            seen = {name: target.placements(name, tuning.places) for names in placing.values() for name in names}
-            places = {k: mixture_of(target, names, seen).flat() for k, names in placing.items()}
-            self._tuned = tuning, kernels_of(self.target.space, self.parts, tuning, frozenset(), places, self._calls,
+            placing = [k for k, part in enumerate(self.parts) if kernels[part.type].form == PLACING]
+            taken = [part._replace(weight=0.0) if k in placing else part for k, part in enumerate(self.parts)]
+            places = dict.fromkeys(placing, np.empty(0))
+            self._tuned = tuning, kernels_of(self.target.space, taken, tuning, frozenset(), places, self._calls,
                                              lambda objects: np.zeros((len(objects), 4), np.int64))  # fmt: skip
         return self._tuned[1]
 
@@ -119,44 +115,9 @@ class InterpretedBackend:
 
     def _calls_of(self, part: Part) -> Calls:
         kind = kernels[part.type]
-        propose = self._number_of(kind.proposal)
-        if kind.form == PLACING:  # the target keeps the children
-            return Calls(
-                propose, place=self._numbered(lambda *arguments: self._put_down(part.block.objects, *arguments))
-            )
-        if kind.keeps_children:
-            return Calls(propose, keep=self._numbered(lambda *_: self._keep(part.block)), vertex=0)
-        return Calls(propose)
-
-    def _keep(self, block: Block) -> float:
-        """Give the children of what a block moved the contacts that keep them; return the log Jacobian."""
-        target: Any = self.target
-        now, moved = self._chain.values[:, :-2].copy()
-        kept = target.keep_children(now, moved, block) if target.log_prior(moved) > -math.inf else None
-        if kept is None:
-            return math.nan
-        self._chain.values[NEXT, :-2] = kept[0]
-        return kept[1]
-
-    def _put_down(self, objects: tuple[str, ...], rng: np.random.Generator, *told: Any) -> float:
-        """Propose another place of some objects; return the log ratio with the log Jacobian of all contacts.
-
-        told : what `evaluate.put_down` is told, of which the last two, places and the proposal, are needed here.
-        """
-        target: Any = self.target
-        *_, places, propose_at = told
-        now, periods = self._chain.values[NOW, :-2].copy(), [target.placement_periods(name) for name in objects]
-        old = np.concatenate([target.placement(now, name) for name in objects])
-        new = np.empty(len(old))
-        log_ratio = self._call(propose_at, rng, places, np.concatenate(periods), old, new)
-        if math.isnan(log_ratio):
-            return math.nan
-        ends = np.cumsum([len(one) for one in periods])[:-1]
-        found = target.put(now, dict(zip(objects, np.split(new, ends), strict=True)))
-        if found is None:
-            return math.nan
-        self._chain.values[NEXT, :-2] = found[0]
-        return log_ratio + found[1]
+        if kind.form == PLACING:
+            return Calls(place=self._numbered(lambda *_: math.nan))
+        return Calls(self._number_of(kind.proposal))
 
 
 def _evaluate(model: Model, chain: Chain, engine: _Engine) -> None:

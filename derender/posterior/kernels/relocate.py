@@ -190,6 +190,9 @@ class PlacingType(KernelType):
     def applies(self, space: Space, block: Block) -> bool:
         return block.name in space.relocations
 
+    def moves(self, space: Space, block: Block) -> Sequence[int]:
+        return ()  # to where warm-up was, and nowhere without compiled steps
+
 
 @kernels.register("relocate")
 class RelocateType(PlacingType):
