@@ -7,12 +7,18 @@ import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.state import State
+from derender.detection.solids.beliefs import any_sensor
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, State
 from derender.render.blur import blur
 from derender.scene.pose import rotation_x, translation
+from derender.scene.solids import BOX
 from derender.structures.draws import refined
-from derender.structures.draws.refined import BEFORE, View, floor_pose_of, refine, view_of
-from derender.structures.draws.sensor import floor_depth, shown
+from derender.structures.draws.chart import make_chart
+from derender.structures.draws.metropolis import engine_of, load
+from derender.structures.draws.refined import BEFORE, View, floor_pose_of, refine, view_of, with_out_of_reach
+from derender.structures.draws.sensor import first_sensor, floor_depth, model_depth, shown
 
 CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
 POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))
@@ -86,3 +92,22 @@ def test_a_floor_on_which_nothing_stands_stays_where_it_was_found():
     observed = floor_depth(POSE, camera) + dents - 0.025 * rises
     found = refine(rng, [View(camera, observed, shared=True)], POSE, State(), Settings().rules)
     assert np.allclose(floor_pose_of(found), POSE)
+
+
+def test_a_box_ends_where_a_sensor_saw_nothing_although_it_would():
+    """Behind it the floor is farther than the sensor reaches, so that else nothing says how far the box goes on."""
+    camera, floor = Camera(120.0, 120.0, 63.5, 47.5, 128, 96), translation(0.0, 0.1, 0.5) @ rotation_x(np.deg2rad(110))
+    boxes = [make_row(BOX, np.eye(3), [0, y, 0.05], [0.1, length, 0.1]) for y, length in ((0.0, 0.1), (0.05, 0.2))]
+    charts = [make_chart(State().add(row, UPRIGHT, False, FLOOR, 0.0), floor, Settings().rules) for row in boxes]
+    clean, longer = (model_depth(*chart, camera) for chart in charts)
+    noise = blur(0.002 * np.random.default_rng(0).standard_normal(camera.shape), 1.0)
+    observed = np.where(clean < 0.62, clean + noise, np.nan)
+    seen, more = np.isfinite(observed), (longer < clean) & (clean > 0.62)
+    image = with_out_of_reach(observed, floor_depth(floor, camera))
+    assert np.array_equal(image[seen], observed[seen]) and more.any() and (image[more] < 0.0).all()
+    gains = []
+    for each in (observed, image):
+        sensor = first_sensor(camera, each, *charts[0], any_sensor())
+        likely = [load(engine_of(chart, sensor), chart, values)[1] for chart, values in charts]
+        gains.append(likely[0] - likely[1])
+    assert abs(gains[0]) < 1.0 and gains[1] > 20.0  # nats by which the box ends there

@@ -54,7 +54,7 @@ def lost_at_edges(refined: "Refined") -> np.ndarray:
     """
     chart, sensor = refined.chart, refined.sensor
     lost = np.zeros((len(chart.flags), 3, 2))
-    if chart.faces == 0.0 or not np.isnan(sensor.observed).any():
+    if chart.faces == 0.0 or sensor.empty is None or not sensor.empty.any():
         return lost
     depth, label = model_image(chart, refined.values, sensor.camera, sensor.into)
     for k in np.flatnonzero(chart.flags[:, KIND] == BOX):
@@ -62,7 +62,7 @@ def lost_at_edges(refined: "Refined") -> np.ndarray:
         turn, normals = row[1:10].reshape(3, 3), np.array([1.0, -1.0])
         centre = chart.floor[:3, :3] @ row[CENTRE:EXTENT] + chart.floor[:3, 3]
         axes = chart.floor[:3, :3] @ turn
-        band = empty_band(depth, label == k + 1, np.isnan(sensor.observed), depth / sensor.camera.fx)
+        band = empty_band(depth, label == k + 1, sensor.empty, depth / sensor.camera.fx)
         for axis in range(3):
             for end, sign in enumerate(normals):
                 normal = sign * axes[:, axis]

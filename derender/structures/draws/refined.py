@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
@@ -47,6 +48,7 @@ BLUR_POINTS = 60  # at which blurs are summed over
 MOST_BACKGROUND = 0.1
 # By how many standard deviations of its noise a background, as it was seen, may be nearer; metres before the camera.
 BEFORE, LEAST_DEPTH = 3.0, 0.01
+REACHED, BESIDE = 0.99, 6  # share of the pixels whose depth is within a sensor's reach; pixels beside what returned
 WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any; degrees of freedom of t
 
 
@@ -119,6 +121,12 @@ class View(NamedTuple):
     observed: np.ndarray  # (H, W)
     into: np.ndarray = np.eye(4)
     shared: bool = False  # whether its neighbouring pixels share noise, so that it is a real sensor's
+    lost: Any = None  # (H, W) bool, where nothing returned; None: where `observed` is NaN
+
+    @property
+    def empty(self) -> np.ndarray:
+        """(H, W) bool, where nothing returned, whatever that shows."""
+        return np.isnan(self.observed) if self.lost is None else self.lost
 
 
 def view_of(seen: Any) -> View:
@@ -133,9 +141,25 @@ def view_of(seen: Any) -> View:
     if seen.correlation > CORRELATED or seen.things or background_share(seen) > MOST_BACKGROUND:
         as_seen = (seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN)
         as_seen &= ~seen.floor.inliers | seen.behind  # what lies on the floor's plane tells where that is
-        nearest = np.minimum(seen.image.depth, floor_depth(seen.floor.pose, camera)) - BEFORE * seen.sigma
+        floor = floor_depth(seen.floor.pose, camera)
+        nearest = np.minimum(seen.image.depth, floor) - BEFORE * seen.sigma
         observed = np.where(as_seen & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
-    return View(camera, observed, shared=seen.correlation > CORRELATED)
+        lost = np.isnan(observed)
+        return View(camera, with_out_of_reach(observed, floor), shared=seen.correlation > CORRELATED, lost=lost)
+    return View(camera, observed)
+
+
+def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Return an image (H, W) that shows, beside what it shows, that nothing stands before what the sensor cannot reach.
+
+    Where even the floor is farther than it sees nothing returns, and a solid would: else how far one goes on there
+    would be open. floor : (H, W) metres to the floor, inf where it is not met.
+    """
+    if not (observed > 0.0).any():
+        return observed
+    reach = float(np.quantile(np.abs(observed[np.isfinite(observed)]), REACHED))
+    beside = binary_dilation((observed > 0.0) & (observed < floor), iterations=BESIDE)
+    return np.where(np.isnan(observed) & (floor > reach) & beside, -reach, observed)
 
 
 def background_share(seen: Any) -> float:
@@ -158,7 +182,8 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
         first_sensor(view.camera, view.observed, chart, values, sensor_beliefs(beliefs, view.shared), view.into)
         for view in views
     )
-    sensor = first._replace(others=tuple(others))
+    others = [other._replace(empty=view.empty) for other, view in zip(others, views[1:], strict=True)]
+    sensor = first._replace(others=tuple(others), empty=views[0].empty)
     start = refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
     if not len(state) and all(view.shared for view in views):
         return start  # each pixel says so little of where a floor is that the few just over it would draw it to them
