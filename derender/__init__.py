@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from derender.interface.functions import load as load
     from derender.interface.functions import render as render
     from derender.interface.functions import sample as sample
+    from derender.interface.functions import simulate as simulate
     from derender.interface.posterior import Posterior as Posterior
     from derender.interface.scene import Scene as Scene
-    from derender.interface.simulation import simulate as simulate
 
 PLACES = {
     "Camera": "derender.camera.intrinsics",
@@ -43,7 +43,7 @@ PLACES = {
     "read_depth": "derender.camera.depth_file",
     "render": "derender.interface.functions",
     "sample": "derender.interface.functions",
-    "simulate": "derender.interface.simulation",
+    "simulate": "derender.interface.functions",
 }
 
 

@@ -18,8 +18,7 @@ import time
 from pathlib import Path
 
 import derender
-from derender.batch.frames import Frame
-from derender.batch.work import Order, infer_frame
+from derender.batch.frames import Frame, Order, infer_frame
 from derender.camera.depth_file import write_depth
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.structures.options import Options

@@ -17,8 +17,8 @@ from PIL import Image
 from small_scenes import TOWER, SceneWorld
 
 from derender.atomic import make_folder
+from derender.batch.frames import Order
 from derender.batch.run import infer_frames
-from derender.batch.work import Order
 from derender.camera.camera_file import read_camera
 from derender.camera.depth_file import read_depth
 from derender.cli import group, status_of

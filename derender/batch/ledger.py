@@ -10,8 +10,7 @@ from urllib.parse import quote
 
 from derender import __version__
 from derender.atomic import locked, make_folder, write_text
-from derender.batch.frames import LEDGER, Frame
-from derender.batch.work import THUMBNAIL, Done, Order, is_done, rows_in
+from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in
 from derender.errors import DerenderError
 from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
 

@@ -12,7 +12,7 @@ from derender.cli.options import Talk, command_line
 from derender.errors import DerenderError, Idle, printable
 
 if TYPE_CHECKING:
-    from derender.batch.work import Done
+    from derender.batch.frames import Done
     from derender.camera.depth_file import Reading
 
 
@@ -310,8 +310,8 @@ def _many(
     talk: Talk, images: tuple[str, ...], watch: bool, scheduler: str | None, arguments: dict[str, Any]
 ) -> int | None:
     """Infer many images, say a line of each, and write the tables of all."""
+    from derender.batch.frames import Order
     from derender.batch.run import Crew, Processes, duration, infer_frames
-    from derender.batch.work import Order
     from derender.structures.options import Options
 
     output, strict, jobs, page = (arguments.pop(key) for key in ("output", "strict", "jobs", "page"))
@@ -337,7 +337,7 @@ def _many(
     def crew(order: Order, output: str) -> Crew:
         if scheduler is None:
             return Processes(jobs, order, output)
-        from derender.batch.cluster import Cluster
+        from derender.batch.run import Cluster
 
         return Cluster(scheduler, order, output)
 

@@ -13,7 +13,7 @@ from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
-from derender.posterior.smc import next_temperature, systematic
+from derender.posterior.sampler import next_temperature, systematic
 from derender.sampling.evidence import draw_t, log_t
 
 # Where Levenberg-Marquardt may start: films of these frictions are held against the tracked poses, and it starts from

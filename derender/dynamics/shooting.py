@@ -17,8 +17,7 @@ from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, M
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
 from derender.dynamics.motion import HELD_WITHIN, Motion
 from derender.dynamics.parameters import Parameters
-from derender.dynamics.states import CHANGE, difference, moved
-from derender.dynamics.support import FREE, flush, plane_under, ways_of
+from derender.dynamics.states import CHANGE, FREE, difference, flush, moved, plane_under, ways_of
 
 # Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
 # corners rattle. Metres, radians, m / s, rad / s; and of the material's coordinates.

@@ -1,12 +1,16 @@
-"""States of rigid bodies and small changes of them.
+"""States of rigid bodies and small changes of them; how a body may move that lies flush on a plane.
 
 A state is 13 numbers: position (3, metres), quaternion wxyz (4), velocity (3, m / s) and angular velocity (3, rad / s,
 in the body's axes). A change has 12: the rotation's part is a rotation vector in the body's axes, R' = R exp(phi).
+
+A tracked pose is off by a millimetre and a degree. The engine would drop a box from there or throw it up, and friction
+would act only now and then: so what is seen to lie on a plane begins flush with it, and stays so under changes.
 """
 
 import numpy as np
 
-from derender.scene.pose import from_quaternion, quaternion
+from derender.physics.bodies import Body
+from derender.scene.pose import from_quaternion, inverse, quaternion
 
 STATE, CHANGE = 13, 12
 
@@ -73,3 +77,56 @@ def to_poses(states: np.ndarray) -> np.ndarray:
     for index in np.ndindex(states.shape[:-1]):
         poses[index] = from_quaternion(states[index][3:7], states[index][:3])
     return poses
+
+
+# A body lies on a plane where for so many frames no corner of its lower face is off by more than this: metres, and
+# radians between that face and the plane. Tracking is off by half as much.
+LEVEL_FRAMES, OFF_METRES, OFF_RADIANS = 3, 0.005, 0.07
+FREE = np.eye(CHANGE)
+
+
+def flush(body: Body, plane: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Return the state (13,) flush with a plane and not leaving it, and by how much it was off: metres and radians.
+
+    body : box, cylinder or mesh by its box; nothing else has a face to lie on.
+    plane : (4, 4), its frame, z along its normal.
+    """
+    normal, pose = plane[:3, 2], to_poses(state)
+    along = normal @ pose[:3, :3]  # the normal in the body's axes
+    axis = int(np.argmax(np.abs(along)))
+    if body.kind == "cylinder":
+        axis = 2
+    wanted = np.zeros(3)
+    wanted[axis] = np.sign(along[axis])
+    cross = np.cross(wanted, along)  # turns the face's normal to the plane's, in the body's axes
+    angle = float(np.arctan2(np.linalg.norm(cross), along @ wanted))
+    turn = cross * (angle / max(float(np.linalg.norm(cross)), 1e-12))
+    result = state.copy()
+    result[3:7] = product(state[3:7], exponential(turn))
+    height = float((inverse(plane) @ pose)[2, 3])
+    off = height - body.size[axis] / 2
+    result[:3] -= off * normal
+    result[7:10] -= (state[7:10] @ normal) * normal
+    result[10:] = (state[10:] @ wanted) * wanted
+    return result, abs(off), angle
+
+
+def ways_of(plane: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Return the changes (12, 6) under which a flush state (13,) stays flush: two shifts, a turn, and their rates."""
+    turn = to_poses(state)[:3, :3].T @ plane[:3, 2]
+    ways = np.zeros((CHANGE, 6))
+    for part, column in ((0, 0), (6, 3)):
+        ways[part : part + 3, column : column + 2] = plane[:3, :2]
+        ways[part + 3 : part + 6, column + 2] = turn
+    return ways
+
+
+def plane_under(body: Body, planes: list[np.ndarray], states: np.ndarray) -> np.ndarray | None:
+    """Return the plane (4, 4) on which a body lies in its next states (T, 13), or None."""
+    if body.kind not in ("box", "cylinder", "mesh") or len(states) < LEVEL_FRAMES:
+        return None
+    for plane in planes:
+        off = [flush(body, plane, state)[1:] for state in states[:LEVEL_FRAMES]]
+        if np.all(np.array(off) < [OFF_METRES, OFF_RADIANS]):
+            return plane
+    return None

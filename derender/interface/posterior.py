@@ -20,7 +20,7 @@ from derender.results.table import SIDES, digits, extents_text
 from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
-    from derender.interface.simulation import How
+    from derender.interface.functions import How
     from derender.physics.outcome import Chance, Outcome
 
 MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's page
@@ -216,7 +216,7 @@ class Posterior(kept.Posterior):
         how : engine, duration and jobs, and what is done to the scene: push, remove, add, tilt, shake, jitter; see
             `derender.simulate`.
         """
-        from derender.interface.simulation import chance_that
+        from derender.interface.functions import chance_that
 
         return chance_that(event, self, draws, until, seed, **how)
 

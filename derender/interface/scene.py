@@ -17,7 +17,7 @@ from derender.scene.graph import SceneGraph
 if TYPE_CHECKING:
     import trimesh
 
-    from derender.interface.simulation import Acts, Simulation
+    from derender.interface.functions import Acts, Simulation
 
 WIDTH, HEIGHT = 160, 120  # pixels of a picture where a scene has no camera
 SHOWN_WIDTH = 240  # pixels of a picture in a notebook
@@ -97,7 +97,7 @@ class Scene:
 
     def simulate(self, duration: float = 2.0, **acts: "Unpack[Acts]") -> "Simulation":
         """Return what physics does to it, as under push="red:+x:5N@0.1s"; see `derender.simulate`."""
-        from derender.interface.simulation import simulate
+        from derender.interface.functions import simulate
 
         return simulate(self, duration=duration, **acts)
 

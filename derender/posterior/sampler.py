@@ -1,20 +1,35 @@
-"""The sampler of a fixed structure, start, warm-up that adapts, draws that do not; and `inference:`, its settings."""
+"""The sampler of a fixed structure, start, warm-up that adapts, draws that do not; and `inference:`, its settings.
+
+Populations follow prior x likelihood^b (Del Moral, Doucet, Jasra 2006): particles start from the prior, and b rises
+from 0 to 1 as far as the weights' effective number bears; at each stage particles are resampled and moved by a mixture
+of kernels. It finds the one mode that matters among many. The product of the mean weights estimates the evidence;
+adaptive stages bias it by O(1 / n).
+
+Pilots look together, before any draw is kept, for where the posterior is and how to walk on it. Populations find good
+places. From there each chain climbs a ladder of temperatures (Geyer 1991): on the levels above the first the likelihood
+is raised to a power below one, narrow modes are wide there, and neighbours exchange their places by the Metropolis
+rule. What the first level has seen by the end fixes the tuning that every chain starts with. What one chain missed
+another found: only together do they know all modes.
+"""
 
 import functools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.errors import DerenderError
 from derender.posterior.compiled.backend import Backend, backend_of
-from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
-from derender.posterior.smc import LOCAL, pilot_runs, shaped, systematic
+from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, rescale
 from derender.posterior.space import Space
 from derender.sampling.chains import Segment
+from derender.sampling.metropolis import log_threshold
+from derender.scene.priors.terms import MOST_TRIES
 
 KEYS = ("kernels", "order", "thin", "particles", "population", "chains", "draws", "warmup")
 
@@ -179,3 +194,282 @@ def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.nda
     scale = json.loads(bytes(state["scale"]))
     tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]), state["archive"])
     return state["values"], tuning, state["history"], state["counts"], int(state["taken"])
+
+
+FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
+ROUNDING = 1e-6  # of log densities
+GAIN = 2.0  # change of a log scale for an acceptance rate wrong by 1, at each stage
+LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
+BISECTIONS = 60  # halve [present, 1] to below the spacing of floating point numbers
+
+Advance = Callable[[np.ndarray, float], np.ndarray]
+
+
+class Population(NamedTuple):
+    """Particles of equal weight from the posterior."""
+
+    values: np.ndarray  # (n, P) float64
+    densities: np.ndarray  # (n, 2) float64, log prior and log likelihood
+    log_evidence: float  # estimate of log p(image); unbiased on the natural scale but for the adaptation
+    stops: list[np.ndarray]  # (n, P) float64, the populations at the exponents that were asked for, or just above
+
+
+def from_prior(
+    rng: np.random.Generator, space: Space, backend: "Backend", count: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return values (count, P) from the prior with its terms, their densities (count, 2), and the log of what the terms
+    leave of the unknowns' own prior: draws of that one weighed by the terms and resampled, more where few count.
+
+    Raises DerenderError where no draw meets the terms.
+    """
+    values, densities, terms = (np.empty((0, *shape)) for shape in ((space.offsets[-1],), (2,), ()))
+    while True:
+        drawn = np.array([space.sample(rng) for _ in range(count)])
+        found = np.array([backend.evaluate(value) for value in drawn])
+        own = np.array([space.log_prior(value) for value in drawn])
+        values, densities = np.concatenate([values, drawn]), np.concatenate([densities, found])
+        terms = np.concatenate([terms, found[:, 0] - own])
+        if np.abs(terms).max() < ROUNDING:
+            return values, densities, 0.0
+        most = terms.max()
+        weights = np.exp(terms - most) if most > -np.inf else np.zeros(len(terms))
+        if np.sum(weights) ** 2 >= FEW * np.sum(weights**2) > 0.0 or len(values) >= MOST_TRIES:
+            break
+    if most == -np.inf:
+        remedy = "spread the objects out or ask for fewer"
+        raise DerenderError(f"none of {len(values)} scenes drawn meets the constraints", remedy=remedy)
+    chosen = systematic(rng, weights, count)[rng.permutation(count)]
+    return values[chosen], densities[chosen], float(most + np.log(np.mean(weights)))
+
+
+def next_temperature(gain: np.ndarray, present: float, share: float = 0.5) -> float:
+    """Return the largest exponent, at most 1, at which the weights' effective number is `share` of the particles.
+
+    Particles that no stage keeps (a gain of -inf) do not count.
+    """
+    possible = gain[gain > -np.inf]
+    if not len(possible):
+        raise ValueError("no particle has any weight")
+
+    def effective(exponent: float) -> float:
+        weights = np.exp((exponent - present) * (possible - np.max(possible)))
+        return float(np.sum(weights) ** 2 / np.sum(weights**2))
+
+    wanted = min(share * len(gain), 0.999 * len(possible))
+    if effective(1.0) >= wanted:
+        return 1.0
+    low, high = present, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective(middle) >= wanted else (low, middle)
+    return min(1.0, max(low, present * LEAST_STEP))
+
+
+def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None = None) -> np.ndarray:
+    """Return (count,) indices (default: as many as there are weights): systematic resampling, which copies each
+    particle n w or n w + 1 times."""
+    count = len(weights) if count is None else count
+    places = (rng.random() + np.arange(count)) / count
+    cumulative = np.cumsum(weights) / np.sum(weights)
+    return np.minimum(np.searchsorted(cumulative, places, side="right"), len(weights) - 1)
+
+
+def anneal(
+    rng: np.random.Generator, gain: np.ndarray, advance: Advance, count: int | None = None, share: float = 0.5
+) -> float:
+    """Raise the exponent on a population's gain from 0 to 1; return the log of the estimated mean weight.
+
+    gain : (n,) log increments of the particles, -inf allowed.
+    advance : called at each stage with the indices of the particles that are kept, copies among them, and the exponent;
+        moves them and returns their gains in full.
+    count : of particles after the first stage; None: n.
+    share : of the particles, the effective number that a stage leaves: the smaller, the fewer stages.
+    """
+    count = len(gain) if count is None else count
+    log_mean, present = 0.0, 0.0
+    while present < 1.0:
+        following = next_temperature(gain, present, share * count / len(gain))
+        with np.errstate(invalid="ignore"):  # 0 times -inf, where nothing is
+            logs = np.where(gain > -np.inf, (following - present) * gain, -np.inf)
+        weights = np.exp(logs - np.max(logs))
+        log_mean += float(np.max(logs) + np.log(np.mean(weights)))
+        chosen = systematic(rng, weights)
+        if len(gain) > count:  # from many draws to the population
+            chosen = chosen[rng.permutation(len(gain))[:count]]
+        gain, present = advance(chosen, following), following
+    return log_mean
+
+
+def tempered(
+    rng: np.random.Generator,
+    space: Space,
+    backend: "Backend",
+    parts: list[Part],
+    particles: int,
+    steps: int,
+    drawn: int | None = None,
+    stops: Sequence[float] = (),
+    share: float = 0.5,
+) -> Population:
+    """Run the sampler.
+
+    backend : see `backend_of`.
+    parts : the mixture that moves the particles.
+    particles : how many. steps : of the mixture for each particle and stage.
+    drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.
+    stops : exponents, rising, at which to keep the population.
+    share : of the particles, the weights' effective number that a stage leaves: the smaller, the fewer stages.
+    """
+    values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
+    tuning = first_tuning(space, values[0])
+    kept = list[np.ndarray]()
+
+    def advance(chosen: np.ndarray, exponent: float) -> np.ndarray:
+        nonlocal values, densities, tuning
+        values, densities = values[chosen], densities[chosen]
+        tuning = tuning._replace(temperature=exponent)
+        counts = np.zeros((len(parts), 2), np.int64)
+        for n in range(particles):
+            stretch = backend.sweep(rng, values[n], tuning, 1, steps)
+            values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
+            counts += stretch.counts
+        tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, GAIN))
+        while len(kept) < len(stops) and exponent >= stops[len(kept)]:
+            kept.append(values.copy())
+        return densities[:, 1]
+
+    log_ratio = anneal(rng, densities[:, 1], advance, particles, share)
+    return Population(values, densities, log_evidence + log_ratio, kept)
+
+
+LOCAL = ("drift", "slide", "turn")  # kernels that move a starting population
+GOOD = 20.0  # nats below the best place found: as good a start
+START_STEPS = 40  # of the mixture, for each particle and temperature
+SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
+LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
+STAGES = (10, 20, 40, 80)  # rounds of each; then all levels are fitted anew to what all chains saw in its later half
+STRETCH = 5  # rounds between two exchanges
+RISE = 3.0  # nats by which the mean log density still rises from one stage to the next: it has not arrived
+MOST_STAGES = 6
+COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first level's, others', and from each hotter level
+
+
+class Found(NamedTuple):
+    """What pilots found."""
+
+    places: np.ndarray  # (n, P), typical ones
+    tuning: Tuning  # fitted to them
+
+
+class Climb(NamedTuple):
+    """One chain's stage."""
+
+    last: np.ndarray  # (R, P), where each level ended
+    seen: np.ndarray  # (R, n, P)
+    density: float  # mean log posterior of the first level
+    scales: list[dict[str, float]]  # step scales of each level
+
+
+def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, seed: int, jobs: int, thin: int,
+                population: int, particles: int) -> Found | None:  # fmt: skip
+    """Return what pilots found, or None where nothing possible was.
+
+    backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only.
+    thin : steps in a round. population, particles : of each start, see `smc.tempered`.
+    """
+
+    def each(work, *columns) -> list:
+        with ThreadPoolExecutor(jobs) as pool:
+            return list(pool.map(work, range(len(backends)), *columns))
+
+    def explore(number: int):
+        rng = np.random.default_rng([seed, 3, number])
+        mover = movers[number]
+        return tempered(rng, space, mover, mover.parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
+
+    explored = each(explore)
+    densities = np.concatenate([found.densities.sum(axis=1) for found in explored])
+    good = densities > np.max(densities) - GOOD
+    if not good.any():
+        return None
+    pools = [np.concatenate([found.stops[-1 - r] for found in explored]) for r in range(len(LADDER))]
+    pools[0] = np.concatenate([found.values for found in explored])[good]
+    levels = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
+    levels = refitted(space, levels, pools, [[{}]] * len(levels))
+    rngs = [np.random.default_rng([seed, 4, number]) for number in range(len(backends))]
+    starts = [np.array([pool[rng.integers(len(pool))] for pool in pools]) for rng in rngs]
+    stage, density, rising = 0, -math.inf, True
+    while stage < len(STAGES) or (rising and stage < MOST_STAGES):
+        with ThreadPoolExecutor(jobs) as pool:
+            list(pool.map(backends[0].program, levels))
+        rounds = STAGES[min(stage, len(STAGES) - 1)]
+        climbs = each(lambda n, rng, start, rounds=rounds, levels=levels:
+                      climb(rng, backends[n], parts, levels, start, rounds, thin), rngs, starts)  # fmt: skip
+        starts = [one.last for one in climbs]
+        pools = [np.concatenate([one.seen[r] for one in climbs]) for r in range(len(levels))]
+        levels = refitted(space, levels, pools, [[one.scales[r] for one in climbs] for r in range(len(levels))])
+        stage, former, density = stage + 1, density, float(np.mean([one.density for one in climbs]))
+        rising = density > former + RISE
+    backends[0].program(levels[0])
+    return Found(pools[0], levels[0])
+
+
+def climb(
+    rng: np.random.Generator,
+    backend: Any,
+    parts: list[Part],
+    levels: list[Tuning],
+    start: np.ndarray,
+    rounds: int,
+    thin: int,
+) -> Climb:
+    """Walk on all levels from `start` (R, P) and let neighbours exchange places, with
+
+    log ratio = (temperature - temperature') * (log likelihood' - log likelihood).
+    """
+    places, logs = start.copy(), np.zeros((len(levels), 2))
+    seen: list[list[np.ndarray]] = [[] for _ in levels]
+    tunings, densities = list(levels), []
+    for turn in range(0, rounds, STRETCH):
+        gain = 3.0 / math.sqrt(1.0 + turn / STRETCH)
+        for r, tuning in enumerate(tunings):
+            stretch = backend.sweep(rng, places[r], tuning, STRETCH, thin, turn * thin)
+            places[r], logs[r] = stretch.values[-1], stretch.densities[-1]
+            tunings[r] = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, gain))
+            seen[r].append(stretch.values)
+            if r == 0:
+                densities.append(stretch.densities.sum(axis=1).mean())
+        for r in range(len(levels) - 1):
+            log_ratio = (levels[r].temperature - levels[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
+            if log_threshold(rng) < log_ratio:
+                places[[r, r + 1]], logs[[r, r + 1]] = places[[r + 1, r]], logs[[r + 1, r]]
+    later = np.array([np.concatenate(one)[rounds // 2 :] for one in seen])
+    return Climb(places, later, float(np.mean(densities[len(densities) // 2 :])), [dict(t.scale) for t in tunings])
+
+
+def refitted(space: Space, levels: list[Tuning], pools: list[np.ndarray], scales: list[list]) -> list[Tuning]:
+    """Return the levels' tunings as fitted to the places (n, P) and step scales that all chains found on each.
+
+    A level's archive also takes places of the hotter ones: what they know of other modes comes down one object at a
+    time, which is far likelier than by an exchange of whole scenes.
+    """
+    result = []
+    for r, level in enumerate(levels):
+        archive = [spread_out(pools[r], HOT if r else COLD), *(spread_out(pool, BORROWED) for pool in pools[r + 1 :])]
+        names = {name for scale in scales[r] for name in scale}
+        means = {n: float(np.exp(np.mean([np.log(scale.get(n, 1.0)) for scale in scales[r]]))) for n in sorted(names)}
+        result.append(shaped(space, level._replace(scale=means, archive=np.concatenate(archive)), pools[r]))
+    return result
+
+
+def shaped(space: Space, tuning: Tuning, recent: np.ndarray) -> Tuning:
+    """Return the tuning with centre and covariance fitted to where chains have been of late."""
+    if len(recent) < 20:
+        return tuning
+    centre = centre_of(space, recent)
+    return tuning._replace(mean=centre, covariance=covariance_of(space, recent, centre))
+
+
+def spread_out(places: np.ndarray, most: int = COLD) -> np.ndarray:
+    """Return at most so many of the places, evenly spaced."""
+    return places[np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(int)]

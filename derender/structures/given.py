@@ -23,8 +23,7 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Part
-from derender.posterior.sampler import MixtureSampler, Settings
-from derender.posterior.smc import tempered
+from derender.posterior.sampler import MixtureSampler, Settings, tempered
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior

@@ -12,8 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from derender.batch.cluster import PATIENCE, Cluster, write_files
-from derender.batch.work import Order, is_done
+from derender.batch.frames import Order, is_done
+from derender.batch.run import PATIENCE, Cluster, write_files
 from derender.errors import DerenderError
 
 FRAMES = 12

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from derender.batch.frames import Frame
+from derender.batch.frames import Done, Frame, Order, failure, infer_frame, is_done
 from derender.batch.run import Processes, infer_frames
-from derender.batch.work import Done, Order, failure, infer_frame, is_done
 from derender.cli import group
 from derender.structures.options import Options
 

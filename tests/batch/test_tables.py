@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from derender.atomic import locked
-from derender.batch.frames import Frame, Watch, find_frames, is_many
+from derender.batch.frames import Done, Frame, Order, Watch, find_frames, is_many, rows_in
 from derender.batch.ledger import Ledger, index_page
 from derender.batch.run import duration, words
-from derender.batch.work import Done, Order, rows_in
 from derender.camera.image_files import png_bytes
 from derender.errors import DerenderError
 from derender.results.table import COLUMNS, as_csv, as_lines, failed_row, read_lines, rows_of, turn_of

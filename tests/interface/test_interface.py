@@ -15,7 +15,7 @@ import derender
 from derender.errors import DerenderError
 
 MODULES = ("derender", "derender.camera.intrinsics", "derender.camera.depth_file", "derender.interface.functions",
-           "derender.interface.scene", "derender.interface.simulation",
+           "derender.interface.scene", "derender.interface.functions",
            pytest.param("derender.interface.posterior", marks=pytest.mark.slow))  # fmt: skip
 
 

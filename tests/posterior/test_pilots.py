@@ -6,7 +6,7 @@ from small_scenes import SceneWorld
 from toy_worlds import World
 
 from derender import data_path
-from derender.posterior import smc
+from derender.posterior import sampler
 from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
@@ -31,12 +31,12 @@ def two_modes():
 def test_pilots_find_every_mode():
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
-    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"resimulate": {}}]), thin=3)
-    prepared = sampler.prepared(2, chains=3, jobs=2)
+    made = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"resimulate": {}}]), thin=3)
+    prepared = made.prepared(2, chains=3, jobs=2)
     places = prepared.places[:, 0]
     assert np.all(np.abs(np.abs(places) - 0.6) < 0.03)
     assert 0.1 < np.mean(places > 0) < 0.9
-    again = sampler.prepared(2, chains=3, jobs=1)
+    again = made.prepared(2, chains=3, jobs=1)
     np.testing.assert_array_equal(prepared.places, again.places)
 
 
@@ -53,9 +53,9 @@ def tower(seed):
 def test_pilots_find_the_tower_in_the_image(seed):
     """Cubes that hide half of each other: one at a wrong angle costs thousands of nats and is hard to turn back."""
     truth, target = tower(seed)
-    sampler = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
-    prepared = sampler.prepared(seed, chains=4, jobs=2)
-    backend = sampler.backend()
+    made = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
+    prepared = made.prepared(seed, chains=4, jobs=2)
+    backend = made.backend()
     best = max(sum(backend.evaluate(place)) for place in prepared.places[::20])
     assert best > sum(backend.evaluate(truth)) - 8.0
 
@@ -63,7 +63,7 @@ def test_pilots_find_the_tower_in_the_image(seed):
 def test_pilots_climb_until_the_density_has_settled(monkeypatch):
     """Stages go on while the mean log density rises, and end at the most of them."""
     counted = []
-    genuine = smc.climb
+    genuine = sampler.climb
 
     def rising(*arguments):
         counted.append(1)
@@ -71,10 +71,10 @@ def test_pilots_climb_until_the_density_has_settled(monkeypatch):
 
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
-    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), thin=1)
-    monkeypatch.setattr(smc, "climb", rising)
-    sampler.prepared(2, chains=1, jobs=1)
-    assert len(counted) == smc.MOST_STAGES
+    made = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), thin=1)
+    monkeypatch.setattr(sampler, "climb", rising)
+    made.prepared(2, chains=1, jobs=1)
+    assert len(counted) == sampler.MOST_STAGES
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -115,6 +115,6 @@ def test_neighbours_exchange_places_by_the_metropolis_rule(better):
     cold = Tuning(np.zeros(1), np.eye(1), {})
     start = np.array([[0.6], [0.3]])[:: 1 if better == 0 else -1]
     backend = InterpretedBackend(target, parts)
-    last = smc.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
-                        smc.STRETCH, 1).last  # fmt: skip
+    last = sampler.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
+                        sampler.STRETCH, 1).last  # fmt: skip
     np.testing.assert_allclose(last[:, 0], [0.6, 0.3], atol=1e-6)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from toy_worlds import World
 
-from derender.posterior import smc
+from derender.posterior import sampler
 from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.kernels import mixture
-from derender.posterior.smc import from_prior, tempered
+from derender.posterior.sampler import from_prior, tempered
 from derender.posterior.space import Block, Unknown
 from derender.scene.distributions import distributions
 
@@ -29,8 +29,8 @@ def test_evidence_is_the_integral(broken, share, monkeypatch):
     x = np.linspace(-1.0, 1.0, 20_001)
     exact = math.log(np.mean(np.exp([target.log_likelihood(np.array([value])) for value in x])))
     if broken:
-        genuine = smc.systematic
-        monkeypatch.setattr(smc, "systematic", lambda rng, weights, *count: genuine(rng, np.sqrt(weights), *count))
+        genuine = sampler.systematic
+        monkeypatch.setattr(sampler, "systematic", lambda rng, weights, *count: genuine(rng, np.sqrt(weights), *count))
     backend = InterpretedBackend(target, parts)
     ratios = [
         math.exp(tempered(rng, world.space, backend, parts, 40, 2, share=share).log_evidence - exact)
@@ -83,7 +83,7 @@ def test_annealing_estimates_the_mean_weight(impossible, broken):
             fresh = 8.0 * exponent / precision + rng.standard_normal(len(chosen)) / math.sqrt(precision)
             return gain_of(0.0 * fresh if broken else fresh, dead)
 
-        estimates.append(math.exp(smc.anneal(rng, gain_of(x, dead), advance)))
+        estimates.append(math.exp(sampler.anneal(rng, gain_of(x, dead), advance)))
     exact = (1.0 - impossible) / 3.0 * math.exp(-4.0 / 9.0)
     error = np.std(estimates) / math.sqrt(len(estimates))
     assert (abs(np.mean(estimates) - exact) < 4.5 * error + 0.02 * exact) != broken
@@ -91,4 +91,4 @@ def test_annealing_estimates_the_mean_weight(impossible, broken):
 
 def test_nothing_of_any_weight_is_a_fault():
     with pytest.raises(ValueError, match="no particle"):
-        smc.next_temperature(np.full(3, -np.inf), 0.0)
+        sampler.next_temperature(np.full(3, -np.inf), 0.0)

@@ -6,8 +6,7 @@ from derender.dynamics.engine import Engine, Scales
 from derender.dynamics.motion import HELD_WITHIN, SAME_FRAMES, motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.shooting import Shooting
-from derender.dynamics.states import from_poses, moved, to_poses
-from derender.dynamics.support import flush, plane_under, ways_of
+from derender.dynamics.states import flush, from_poses, moved, plane_under, to_poses, ways_of
 from derender.physics.bodies import Body, Matter
 from derender.scene.pose import from_rotation_vector, inverse
 
