@@ -6,6 +6,7 @@ asked for; others (a material library, meshes) go beside it.
 
 import json
 import struct
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -148,15 +149,12 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
     return files
 
 
-def roll_pitch_yaw(pose: np.ndarray) -> tuple[float, float, float]:
+def roll_pitch_yaw(pose: np.ndarray) -> np.ndarray:
     """Return the turns about fixed x, y, z axes, in this order, that make up a rotation (URDF's rpy), radians."""
-    rotation = pose[:3, :3]
-    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
-        # Looking straight up roll and yaw are one turn: all of it is roll.
-        return float(np.arctan2(-rotation[1, 2], rotation[1, 1])), float(pitch), 0.0
-    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-    return float(roll), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    from scipy.spatial.transform import Rotation
+
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # straight up: roll and yaw are one turn
+        return Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")
 
 
 def _add_inertia(link: Any, kind: int, size: np.ndarray, mass: float) -> None:
