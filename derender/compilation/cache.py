@@ -72,7 +72,7 @@ class Kernel:
         path = entry_path(f"{self.__module__}.{self.py_func.__qualname__}", self.stamp, key) if self.cache else None
         found = load(path)
         if found is None:
-            if self.cache:
+            if path is not None:
                 announce()
             with turn(path):
                 found = load(path)  # another process may have compiled it meanwhile
