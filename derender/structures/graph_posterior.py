@@ -64,15 +64,17 @@ def parts_of(
     chains: int = 2,
     draws: int = 100,
     only_best: bool = False,
+    refined: Refined | None = None,
 ) -> list[StructurePosterior]:
     """Return the parts of the posterior about the search's best state.
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
+    refined : the state's, where that is made already.
     """
     if seen.no_floor:  # all is taken as it is seen: nothing for the engine to explain
         scores = np.zeros((1, 1) if only_best else (chains, draws))
         return [StructurePosterior(scene_graph(state, seen.floor.pose), (), scores[..., None][..., :0], scores, scores)]
-    first = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
+    first = refined or refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
     energy = total_energy(seen.image, state, settings)
     settings = settings._replace(reduced=seen.factor > 1)
     return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -132,12 +131,13 @@ def searched(rng: np.random.Generator, case: Case, pool: list[tuple[State, float
 
     state, seen = point_estimate(rng, case.depth, case.camera, case.settings, pool=pool, plane=case.plane)
     settings = settings_for(case.settings, seen)
-    try:  # with numbers of its own: where it finds none, all else is as without it
-        seen, state = with_stacks(deepcopy(rng), seen, state, settings)
+    refined = None
+    try:
+        seen, state, refined = with_stacks(rng, seen, state, settings)
     except KeyboardInterrupt:
         seen = seen._replace(interrupted=True)
     say(0.6, f"{len(state)} solids; sampling")
-    looks = [Look(state, seen)]
+    looks = [Look(state, seen, refined=refined)]
     for frame in case.frames:
         say(0.6, f"searching {frame.name} for solids")
         found = point_estimate(rng, frame.depth, frame.camera, case.settings)
@@ -163,7 +163,7 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
             return known_posterior(rng, seen.image, state, coarse, seen.floor.pose, case.library, others, *fewest)
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)
-        return parts_of(rng, seen, state, pool, settings, *case.many, only_best)
+        return parts_of(rng, seen, state, pool, settings, *case.many, only_best, looks[0].refined)
 
     interrupted = any(look.seen.interrupted for look in looks)
     try:

@@ -8,6 +8,7 @@ sensors 21 to 450): a bottle or a book stays one, for the second has to gain wha
 have to be off the image no farther than INEXACT says.
 """
 
+from collections.abc import Iterable
 from itertools import product
 
 import numpy as np
@@ -43,25 +44,26 @@ from derender.structures.draws.sensor import model_depth
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
 EXACT, INEXACT = 1.1, 2.0
 FLUSH = 0.004  # metres by which sides that are flush are seen apart: real sensors' faces are off by some 3 mm
-TRIED = 2  # of the stacks of each pair of kinds that are climbed
+# Of the stacks of each pair of kinds that are climbed; times as far off as after that they may be before it: of those
+# that ended as stacks all were less than 2.6 times.
+TRIED, ROUGHLY = 2, 3.0
 CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is cut in two
 
 
 def with_stacks(
     rng: np.random.Generator, seen: Observation, state: State, settings: Settings
-) -> tuple[Observation, State]:
-    """Return (Observation, State) with stacks of two for those things and upright solids that these explain better."""
+) -> tuple[Observation, State, Refined | None]:
+    """Return (Observation, State) with stacks of two for those things and upright solids that these explain better, and
+    the State's Refined where it was made: where there is something to look at, and it stays as it is."""
     if seen.correlation <= CORRELATED or seen.no_floor or seen.interrupted or not settings.free_forms:
-        return seen, state
-    label, bad = badness(seen, state)
+        return seen, state, None
     bears = {thing.parent for thing in seen.things}  # things: solids that stand on it go up with its top
-    looked_at = [k for k, form in enumerate(state.forms)
-                 if form == UPRIGHT and EXACT < bad[k] < np.inf and k not in bears]  # fmt: skip
+    looked_at = inexact(seen, state, [k for k, form in enumerate(state.forms) if form == UPRIGHT and k not in bears])
     if not (seen.things or looked_at):
-        return seen, state
-    refined = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, 1)
+        return seen, state, None
+    refined = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
     if len(refined.state) != len(state):
-        return seen, state
+        return seen, state, refined
     things, found = [], refined.state
     for thing in seen.things:
         there, bottom = seen._replace(image=without_thing(seen.image, thing)), lowest(thing.row)
@@ -71,16 +73,25 @@ def with_stacks(
             things.append(thing)
         else:
             seen, found = there, two
-    for k in looked_at:
-        two = as_stack(rng, seen, refined, found, k, label == k, settings)
-        found = found if two is None else two
+    looked_at += inexact(seen, found, range(len(state), len(found)))
+    for k, shown in looked_at:
+        two = as_stack(rng, seen, refined, found, k, shown, settings)
+        if two is not None:
+            found = two
+            looked_at += inexact(seen, found, (k, len(found) - 1))
     if len(found) == len(state):
-        return seen, state
+        return seen, state, refined
     found.parents = final_parents(found)
     order = found.in_order()
     things = [each._replace(parent=order.index(each.parent) if each.parent in order else each.parent)
               for each in things]  # fmt: skip
-    return with_stacks(rng, seen._replace(things=tuple(things)), found.ordered(), settings)
+    return seen._replace(things=tuple(things)), found.ordered(), None
+
+
+def inexact(seen: Observation, state: State, solids: Iterable[int]) -> list[tuple[int, np.ndarray]]:
+    """Return those of some solids that are not EXACT, each with the mask (H, W) where it shows."""
+    label, bad = badness(seen, state)
+    return [(k, label == k) for k in solids if EXACT < bad[k] < np.inf]
 
 
 def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -103,10 +114,15 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     where it is likelier as one, or as a free-form surface."""
     view, rules, floor = view_of(seen), settings.rules, floor_pose_of(refined)
     sensor, both = refined.sensor._replace(observed=view.observed), (i, len(state))
+    least = LEFT_HEIGHT * seen.scale
+
+    def exact(state: State, most: float) -> bool:
+        """Whether both are high enough, and off the image no farther."""
+        high = state.rows[list(both), 15].min() > least
+        return bool(high and badness(seen, state)[1][list(both)].max() < most)
+
     rows = best_upright(rng, seen, state, i, shown, lowest(state.rows[i]), settings)
-    twos = stacks(rng, seen, shown, state, i, rows, settings) if rows else []
-    if not twos or len(state) >= settings.max_objects:
-        return None
+    twos = stacks(rng, seen, shown, state, i, rows, settings) if rows and len(state) < settings.max_objects else []
 
     def climbed(states: list[State], places: tuple[int, ...]) -> list[Refined]:
         """Return the Refined, climbed, of the TRIED of each pair of kinds that are likeliest before."""
@@ -122,9 +138,8 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
         best = at_mode(rng, state, floor, sensor, rules, 2 * ANNEALING, list(places), ())
         return best, near_evidence(best, places)
 
-    least = LEFT_HEIGHT * seen.scale
-    found = [each for each in climbed(twos, both) if each.state.rows[list(both), 15].min() > least
-             and badness(seen, each.state)[1][list(both)].max() < INEXACT]  # fmt: skip
+    likely_enough = climbed([each for each in twos if exact(each, ROUGHLY * INEXACT)], both)
+    found = [each for each in likely_enough if exact(each.state, INEXACT)]
     if not found:
         return None
     two, likely = likeliest(found, both)
@@ -196,7 +211,8 @@ def best_upright(rng: np.random.Generator, seen: Observation, state: State, i: i
     """Return the row of the upright solid of each kind that explains a mask (H, W) best, the best first: see
     `polished`."""
     best: dict[float, np.ndarray] = {}
-    for _, _, row, h in polished(rng, seen, state, i, shown, bottom, settings):
+    upright = settings._replace(shapes=tuple(shape for shape in settings.shapes if shape != "sphere"))
+    for _, _, row, h in polished(rng, seen, state, i, shown, bottom, upright):
         if h.form == UPRIGHT:
             best.setdefault(row[0], row)
     return list(best.values())

@@ -125,6 +125,7 @@ class Look(NamedTuple):
     into: np.ndarray = np.eye(4)  # (4, 4), the first camera's axes to this one's
     over: np.ndarray = np.eye(4)  # (4, 4), this floor's frame to the first one's: a turn and a shift along the floor
     found: bool = False  # whether that was found, not given
+    refined: Refined | None = None  # the state's, where that is made already
 
 
 def look_from(first: Look, state: State, seen: Observation, frame: Frame, settings: Settings) -> Look:

@@ -47,8 +47,8 @@ def test_a_stack_that_the_search_tells_as_one_can_or_as_a_thing_is_two():
     can = as_can(seen, (0.07, 0.07, 0.11))
     assert badness(*can)[1][0] > 2.0
     for there, state in (can, as_thing(seen)):
-        left, found = with_stacks(np.random.default_rng(0), there, state, settings)
-        assert not left.things and found.parents == [FLOOR, 0]
+        left, found, refined = with_stacks(np.random.default_rng(0), there, state, settings)
+        assert not left.things and found.parents == [FLOOR, 0] and refined is None
         assert found.rows[:, 0].tolist() == [CYLINDER, BOX]
         np.testing.assert_allclose(found.rows[:, 15], [0.06, 0.05], atol=0.006)  # their heights
         np.testing.assert_allclose(found.rows[0, 13], 0.08, atol=0.006)
@@ -57,10 +57,10 @@ def test_a_stack_that_the_search_tells_as_one_can_or_as_a_thing_is_two():
 def test_what_is_one_solid_or_no_solid_stays_so():
     seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, (0.07, 0.08, 0.11), None))
     for there, state in (as_can(seen, (0.08, 0.08, 0.11)), as_thing(seen)):
-        left, found = with_stacks(np.random.default_rng(0), there, state, settings)
-        assert left is there and found is state
+        left, found, refined = with_stacks(np.random.default_rng(0), there, state, settings)
+        assert left is there and found is state and len(refined.state) == len(state)
     seen, settings = seen_by_a_sensor((MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl()))
-    left, found = with_stacks(np.random.default_rng(0), *as_thing(seen), settings)
+    left, found, _ = with_stacks(np.random.default_rng(0), *as_thing(seen), settings)
     assert len(left.things) == 1 and len(found) == 0
 
 
