@@ -26,6 +26,7 @@ from derender.scene.priors.bare_image import BareImagePrior, Missed
 from derender.structures.options import Frame, Options
 
 if TYPE_CHECKING:
+    from derender.posterior.target import ObservedImage
     from derender.results.posterior import Posterior, StructurePosterior
     from derender.structures.grids import Image
     from derender.structures.together import Look
@@ -160,7 +161,9 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
 
             others, fewest = not case.options.only_known, (1, 1) if only_best else case.many
             coarse = settings._replace(reduced=seen.factor > 1)
-            return known_posterior(rng, seen.image, state, coarse, seen.floor.pose, case.library, others, *fewest)
+            whole = partial(observed_under, observations=[seen], case=case)
+            return known_posterior(rng, seen.image, state, coarse, seen.floor.pose, whole, case.library, others,
+                                   *fewest)  # fmt: skip
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)
         return parts_of(rng, seen, state, pool, settings, *case.many, only_best, looks[0].refined)
@@ -225,7 +228,6 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
 
     seen = looks[0].seen
     things = [thing for each in observations for thing in each.things]
-    settings = settings_for(case.settings, seen)
     meta: dict[str, Any] = {"reduced_by": seen.factor, "fattened": case.fattened, "noise": seen.floor.sigma,
             "correlation": seen.correlation,
             "faces": case.beliefs.loose.faces if seen.correlation > CORRELATED else 0.0,
@@ -234,7 +236,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
             "no_floor": seen.no_floor, "interrupted": interrupted,
             "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
             "hidden_expected": extras.get("hidden_expected"), "spots": extras.get("spots", []),
-            "likelihood": likelihood_of(parts, observations, case.depth, case.camera, settings)}  # fmt: skip
+            "likelihood": likelihood_of(parts, observations, case)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=case.options.seed, meta=meta)
     graph = posterior.best_graph()
     if len(looks) > 1:
@@ -362,20 +364,31 @@ def whole_camera(camera: Any, shape: tuple[int, int]) -> Camera:
     return Camera(**{**camera, "width": shape[1], "height": shape[0]})
 
 
-def likelihood_of(parts: "list[StructurePosterior]", observations: list[Observation], depth: np.ndarray, camera: Camera,
-                  settings: Settings) -> dict[str, float | str]:  # fmt: skip
+def likelihood_of(
+    parts: "list[StructurePosterior]", observations: list[Observation], case: Case
+) -> dict[str, float | str]:
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 
-    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene:
-    to what it shows of the scene, not to what is known to lie behind it, or far away.
+    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
     """
+    from derender.structures.draws.sensor import too_far
+
+    best = max(parts, key=lambda part: part.weight)
+    if "likelihood" in best.extras and observations[0].factor == 1 and not too_far(case.depth).any():
+        return best.extras["likelihood"]
+    image = observed_under(best.best()[0], observations, case)
+    return {"type": image.type, **image.values}
+
+
+def observed_under(graph: SceneGraph, observations: list[Observation], case: Case) -> "ObservedImage":
+    """Return the image as it came under the likelihood that it suggests given a scene.
+
+    To what it shows of the scene that is fitted, not to what is known to lie behind it, or far away.
+    """
+    from derender.posterior.target import ObservedImage
     from derender.structures.draws.sensor import image_likelihood, too_far
 
-    best, seen = max(parts, key=lambda part: part.weight), observations[0]
-    if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
-        return best.extras["likelihood"]
-    camera = whole_camera(camera, depth.shape)
-    sensor = sensor_beliefs(settings.believed, seen.correlation > CORRELATED)
+    sensor, depth = sensor_beliefs(case.beliefs, observations[0].correlation > CORRELATED), case.depth
     other = too_far(depth) | np.all([of_whole_image(each.behind, each, depth.shape) for each in observations], axis=0)
-    name, numbers = image_likelihood(camera, np.where(other, -depth, depth), best.best()[0].solids(), sensor)
-    return {"type": name, **numbers}
+    seen = np.where(other, -depth, depth)
+    return ObservedImage(case.camera, seen, *image_likelihood(case.camera, seen, graph.solids(), sensor))

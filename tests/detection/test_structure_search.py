@@ -17,7 +17,7 @@ from derender.detection.search.searches import Climb, crossed, explain_otherwise
 from derender.detection.solids.image import FAR, draw, make_image, make_row
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, penetration_beyond
 from derender.detection.solids.misfit import added_misfit, misfit_map
-from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk
+from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.evaluation.convex import intersection_volume
@@ -235,28 +235,6 @@ def test_a_box_seen_on_its_corner_has_three_orthogonal_patches(rng):
     assert len(large) == 3
     # plane fits of over 60 pixels with 1 mm noise are good to about half a degree
     assert np.abs(large @ large.T - np.eye(3)).max() < np.sin(np.radians(3))
-
-
-def test_walks_without_an_image_follow_the_prior_of_sizes(rng):
-    """Broken twin: steps in the size alone, unweighted, would leave the log-normal prior's mean by far."""
-    image = view_of(rng, np.empty((0, 16)))[0]
-    image.weight[:] = 0.0
-    depth, misfit = image.floor, np.zeros_like(image.floor)
-    row, scale = upright(0.3, [0, 0, 0.5], [0.09, 0.09, 0.09]), np.full(MOVES, 0.05)
-    values = []
-    nothing, others = np.empty(0), np.empty((0, 16))
-    for _ in range(3000):
-        row = walk(rng, image, row, FREE, False, others, -1, depth, misfit, np.nan, nothing, 0.0015, 0.0, scale, 60,
-                   1.0, False)  # fmt: skip
-        row[10:13] = [0, 0, 0.5]  # without this the place would wander off for ever: its prior is flat
-        values.append(np.log(row[13:16] / 0.09))
-    values = np.array(values)
-    # `size_energy` is 0.5 (log(s / 0.09) / 0.6)^2 as a density over s: its logarithm has mean 0.36 and deviation 0.6
-    doubled = upright(0, [0, 0, 0.5], [0.09, 0.09, 0.18])
-    assert size_energy(doubled, False) == pytest.approx(0.5 * (np.log(2) / 0.6) ** 2)
-    error = values.std(axis=0) / np.sqrt(len(values) / 10)  # one walk of 60 steps is worth at least a tenth of a draw
-    assert np.abs(values.mean(axis=0) - 0.36).max() < 4 * error.max()
-    assert np.abs(values.std(axis=0) - 0.6).max() < 0.08
 
 
 def test_removing_a_solid_leaves_what_stood_on_it_on_what_it_stood_on():

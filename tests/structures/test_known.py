@@ -61,6 +61,9 @@ def test_identities_and_ways_of_lying(tmp_path):
     assert not any(a.startswith("brick.") and "contact" not in a for a in posterior.best_part.addresses)
     assert "brick.contact.theta" in posterior.best_part.addresses
     assert "tin.contact.theta" not in posterior.best_part.addresses  # nothing tells how it is turned about itself
+    part = posterior.best_part
+    turns = part.values[..., part.addresses.index("brick.contact.theta")]
+    assert 0.0 < turns.std() < np.radians(1.0) and np.isfinite(part.log_likelihood).all()
 
 
 def test_a_stranger_is_as_rare_as_the_file_says():

@@ -23,7 +23,7 @@ TRIED, MOVED, SETTLED = 150, 250, 300
 GUESSED, STEP, FINE, FINEST = 0.006, 0.003, 0.002, 0.001
 # Kinds of steps, see try_step: of a search, and of a walk, which must also let a cube's side change under a top that
 # the image holds still.
-MOVES, WALK_MOVES = 14, 15
+MOVES = 14
 
 
 @njit(cache=True, nogil=True, borrows=True)
@@ -108,7 +108,7 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
     """Change the row by the step of kind `move` (see module), in place; return False where it is not allowed.
 
     Moves: 0-5 faces, 6-8 shifts, 9-11 turns about own axes, 12 scale about a corner (an upright cube's at the bottom),
-    13 radius, 14 scale about a corner at the top.
+    13 radius.
     """
     kind = int(row[0])
     if move < 6:
@@ -135,14 +135,12 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
                 pz += w * row[7 + k]
         turn(row, axis, step * 8.0, px, py, pz)
         return True
-    if move == 12 or move == 14:
+    if move == 12:
         if kind != BOX or not cube:
             return False
         for k in range(3):
             w = 0.5 * step * (1.0 if rng.random() < 0.5 else -1.0)
-            if k == 2 and move == 14:
-                w = -0.5 * step if row[9] > 0 else 0.5 * step
-            elif form == UPRIGHT and k == 2 and row[9] > 0:
+            if form == UPRIGHT and k == 2 and row[9] > 0:
                 w = abs(w) if step > 0 else -abs(w)
             shift(row, k, w)
             row[13 + k] += step
@@ -226,35 +224,3 @@ def polish(rng, image, start, form, cube, others, skip, depth, misfit, bottom, c
         else:
             scale[move] = max(scale[move] * 0.93, 5e-5)
     return best, best_energy, best_change
-
-
-@njit(cache=True, nogil=True)
-def walk(rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, scale, steps,
-         temper, adapt):  # fmt: skip
-    """Return the solid after `steps` Metropolis steps on its density given all others.
-
-    Each kind of step is drawn with its own fixed scale and is its own reverse with the sign changed (a pivot keeps its
-    name and place), and has Jacobian one in (centre, size, Haar's measure of the rotation): proposals are symmetric, so
-    the log acceptance ratio is the difference of energies alone.
-
-    scale : (WALK_MOVES,) float64, standard deviation of each kind of step; changed in place if `adapt` (in a warm-up).
-    temper : what the misfit is divided by: the number of pixels that tell as much as one independent one.
-    """
-    row = start.copy()
-    energy = added_misfit(image, row, depth, misfit) / temper + size_energy(row, cube)
-    energy += contact_energy(row, others, skip, bottom, carried, slack) + tilt_energy(row, form, tilt)
-    trial = np.empty(row.size)
-    for _ in range(steps):
-        move, possible = propose(rng, row, trial, image.origin, form, cube, tilt, scale)
-        if not possible:
-            continue
-        new = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
-        new += tilt_energy(trial, form, tilt) + added_misfit(image, trial, depth, misfit) / temper
-        accepted = new < energy or rng.random() < np.exp(energy - new)
-        if accepted:
-            for n in range(row.size):
-                row[n] = trial[n]
-            energy = new
-        if adapt:
-            scale[move] = min(max(scale[move] * (1.2 if accepted else 0.92), 2e-5), 0.03)
-    return row

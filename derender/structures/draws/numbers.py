@@ -7,7 +7,7 @@ import numpy as np
 
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image
 from derender.detection.solids.graph import turns_freely
-from derender.detection.solids.image import ROW, SIZE, make_row
+from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
@@ -25,12 +25,6 @@ from derender.structures.draws.chart import KIND, Chart, camera_poses, log_prior
 EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
            "cylinder": ((0, 0.5), (2, 1.0))}  # fmt: skip
 NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
-
-
-def parameters_of(row: Any, shape: Any) -> Any:
-    """Return psi by name of a row's solid as this shape."""
-    return {parameter.name: share * float(row[SIZE + axis])
-            for parameter, (axis, share) in zip(shapes[shape].parameters, EXTENTS[shape], strict=True)}  # fmt: skip
 
 
 def numbers_at(graph: SceneGraph, floor_pose: np.ndarray, places: Any) -> dict[str, float]:

@@ -111,22 +111,18 @@ class Placement:
 
     def refine(self, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int, view: Any, rounds: int,
                heat: float = 2.0, scales: np.ndarray = SCALES) -> tuple[float, np.ndarray]:  # fmt: skip
-        """Return (energy, row) of one object annealed against the rest of the scene."""
-        row, energy = self.walked(self.rng, known, row, base, rows, skip, view, scales.copy(), rounds, heat, 1.0, True)
-        return energy, row
+        """Return (energy, row) of one object annealed against the rest of the scene, see `walk_known`.
 
-    def walked(self, rng: np.random.Generator, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int,
-               view: Any, scales: np.ndarray, rounds: int, heat: float, temper: float,
-               adapt: bool) -> tuple[np.ndarray, float]:  # fmt: skip
-        """Return (row, energy) of one object walked, see `walk_known`. view : depth, label and misfit without it."""
+        view : depth, label and misfit without it.
+        """
         start = row.copy()
         start[SIZE:] = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
         row, energy = walk_known(
-            rng, self.image, *known.triangles, start, in_the_way(rows, self.settings), skip, view[0], view[2], base,
-            self.settings.slack, self.tilt, scales, rounds, heat, temper, adapt,
+            self.rng, self.image, *known.triangles, start, in_the_way(rows, self.settings), skip, view[0], view[2],
+            base, self.settings.slack, self.tilt, scales.copy(), rounds, heat,
         )  # fmt: skip
         row[SIZE:] = known.size
-        return row, energy
+        return energy, row
 
     def best_pose(
         self, known: Any, anchor: int, placed: list[Placed], view: Any, skip: int = -1
@@ -314,7 +310,7 @@ class Placement:
                     row, _, _ = self.polished(item, placed, k, (*view, 0.0))
                 else:
                     _, row = self.refine(item.known, item.row, item.base, state_of(placed).rows, k, view, 200,
-                                         1.0001 - sweep, SCALES / 6)  # fmt: skip
+                                         1.0 - sweep, SCALES / 6)  # fmt: skip
                 placed[k] = replace(item, row=row)
         return placed
 

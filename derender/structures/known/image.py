@@ -124,21 +124,18 @@ def rotate_about(row, axis, angle):
 
 @njit(cache=True, nogil=True)
 def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misfit, base, slack, tilt, scale, rounds,
-               heat, temper, adapt):  # fmt: skip
-    """Return (row, energy) of one object walked from `start` (ROW,), the rest of the scene held still.
+               heat):  # fmt: skip
+    """Return (row, energy) of the best that one object meets on an annealed walk from `start` (ROW,), the rest of the
+    scene held still.
 
-    Steps: along the floor's x, y, z; turns about the vertical and about the floor's x and y through the centre. Each is
-    its own reverse with the sign changed and keeps Lebesgue x Haar, so the log acceptance ratio is the difference of
-    energies alone.
+    Steps: along the floor's x, y, z; turns about the vertical and about the floor's x and y through the centre.
 
     others : (N, ROW), what it must not enter, of which `skip` is left out. depth, misfit : (H, W) of the scene without
         it. base : height that its lowest point is held to, NaN for none.
     tilt : standard deviation of the radians by which it leans from the way it was said to lie.
-    scale : (6,) metres, standard deviation of each step (turns: times 8 rad/m), changed in place where `adapt`.
-    heat : temperature at the start, falling to 0: annealing, after which the best is returned; 1: Metropolis, after
-        which the last is returned (exact once `adapt` is over). temper : what the misfit is divided by.
+    scale : (6,) metres, standard deviation of each step (turns: times 8 rad/m), changed in place. heat : temperature at
+        the start, falling to 0.
     """
-    annealing = heat != 1.0
     row, trial, best, least = start.copy(), start.copy(), start.copy(), np.inf
     energy = np.inf
     down = 7 + np.argmax(np.abs(row[7:10]))
@@ -155,8 +152,8 @@ def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misf
             rotate_about(trial, 2 if move == 3 else move - 4, 8.0 * step)
         change, low = known_misfit(image, vertices, triangles, trial, depth, misfit, points, buffer)
         lean = np.arccos(min(abs(trial[down]), 1.0))
-        new = change / temper + (resting_energy(trial, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2)
-        temperature = heat * (1.0 - k / rounds) if annealing else 1.0
+        new = change + (resting_energy(trial, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2)
+        temperature = heat * (1.0 - k / rounds)
         accepted = k < 0 or compiled_log_threshold(rng) * temperature < energy - new
         if accepted:
             row[:] = trial
@@ -164,9 +161,7 @@ def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misf
             if energy < least:
                 best[:] = row
                 least = energy
-        if adapt and k >= 0:
+        if k >= 0:
             adapted = compiled_adapted_scale(scale[move], 1.0 if accepted else 0.0, ACCEPTANCE, GAIN)
             scale[move] = min(max(adapted, SHORTEST), LONGEST)
-    if annealing:
-        return best, least
-    return row, energy
+    return best, least

@@ -1,22 +1,35 @@
 """A posterior over which known object each solid is, and where: what `infer --known` answers."""
 
+import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from derender.compilation.threads import THREADS
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.graph import floating, periods_of, pose_of, scene_graph, turns_freely, vertex_of
+from derender.detection.solids.graph import floating, pose_of, scene_graph, turns_freely, vertex_of
 from derender.detection.solids.image import Image, rotation_of
-from derender.detection.solids.polish import WALK_MOVES, walk
-from derender.detection.solids.state import NOTHING, State, in_the_way
+from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE
+from derender.detection.solids.state import State
+from derender.posterior.kernels import mixture
+from derender.posterior.sampler import MixtureSampler
+from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.results.posterior import StructurePosterior
+from derender.sampling.chains import Plan, run_chains
+from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.structures.draws.numbers import numbers_at, parameters_of
-from derender.structures.known.identities import SCALES, Placed, Placement, identity_probabilities, state_of
+from derender.scene.priors.objects import QUATERNION, ROTATION
+from derender.structures.given import part_at, part_of
+from derender.structures.known.identities import Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import Known
 
-STEPS = 24  # of each object between two draws
+Seen = Callable[[SceneGraph], ObservedImage]
+
+WARMUP = 400  # rounds of the chains before their first draw, in which steps shrink from centimetres to what images tell
+NEAR = 0.1  # metres along a floor from where an object was placed that it may be
 LEAST_LIKELY, MOST_STRUCTURES = 1e-3, 24  # share of the likeliest's weight that one told has; how many, at most
 UNKNOWN = "unknown"
 
@@ -27,6 +40,7 @@ def known_posterior(
     state: State,
     settings: Settings,
     floor_pose: np.ndarray,
+    seen: Seen,
     library: tuple[Known, Known, Known],
     others: bool,
     chains: int,
@@ -36,7 +50,8 @@ def known_posterior(
 
     What one object is tells nothing of what another is: the weight of a structure is the product of its identities'.
 
-    state : what the search for solids of unknown sizes found. library : Known objects.
+    state : what the search for solids of unknown sizes found. seen : from a scene to the whole image bound to the
+    likelihood that it suggests given that scene. library : Known objects.
     others : whether solids that are none of them may be there.
 
     The first part's extras hold `identities`: for each object, the probability of each name of the library.
@@ -59,7 +74,7 @@ def known_posterior(
         }
         for name, found, share in zip(names, options, probabilities, strict=True)
     }  # fmt: skip
-    best = part_of_known(rng, placement, placed, names, floor_pose, chains, draws)
+    best = part_of_known(rng, placement, placed, names, floor_pose, seen, chains, draws)
     parts = [replace(best, extras={"identities": identities})]
     leading = tuple(int(np.argmax(share)) for share in probabilities)
     total = 1.0 / float(np.prod([share.max() for share in probabilities]))  # of all, told or not
@@ -70,14 +85,14 @@ def known_posterior(
             total -= weight
         elif chosen != leading:
             kept = [name if new.known is old.known else "" for name, old, new in zip(names, placed, other, strict=True)]
-            part = part_of_known(rng, placement, other, names_of(other, kept), floor_pose, 1, 1)
+            part = part_of_known(rng, placement, other, names_of(other, kept), floor_pose, seen, 1, 1)
             parts.append(replace(part, weight=weight))
     for worse, instead, anchors in placement.rivals:
         weight = float(np.exp(-worse / settings.temper))
         other = [*(item for item in placed if item.anchor not in anchors), *instead]
         if weight >= LEAST_LIKELY and enough(other):
             total += weight
-            part = part_of_known(rng, placement, other, names_of(other), floor_pose, 1, 1)
+            part = part_of_known(rng, placement, other, names_of(other), floor_pose, seen, 1, 1)
             parts.append(replace(part, weight=weight))
     return [replace(part, weight=part.weight / total) for part in parts]
 
@@ -133,64 +148,56 @@ def pose_of_known(row: np.ndarray) -> np.ndarray:
 
 
 def part_of_known(
-    rng: np.random.Generator,
-    placement: Placement,
-    placed: list[Placed],
-    names: list[str],
-    floor_pose: np.ndarray,
-    chains: int,
-    draws: int,
-) -> StructurePosterior:
-    """Return draws of all numbers under given identities."""
-    placed = list(placed)
+    rng: np.random.Generator, placement: Placement, placed: list[Placed], names: list[str], floor_pose: np.ndarray,
+    seen: Seen, chains: int, draws: int,
+) -> StructurePosterior:  # fmt: skip
+    """Return draws of all numbers under given identities, by chains from where things were placed; of one the place."""
     parents, bases = placement.parents(placed)
     placed = [replace(item, base=base) for item, base in zip(placed, bases, strict=True)]
     graph = graph_of(placed, parents, floor_pose, names)
-    fixed = {f"{name}.{key}" for name, item in zip(names, placed, strict=True) if item.known
-             for key in item.known.parameters}  # fmt: skip
-    # how a can that carries nothing is turned about itself nothing tells
-    fixed |= {f"{vertex.name}.contact.theta" for vertex in graph.vertices
-              if turns_freely(vertex) and not graph.children(vertex.name)}  # fmt: skip
-    addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names and a not in fixed)
-    values = np.empty((chains, draws, len(addresses)))
-    density = np.empty((chains, draws))
-    for chain in range(chains):
-        now = list(placed)
-        scales = [np.full(WALK_MOVES, 1e-3) if item.known is None else SCALES / 10 for item in now]
-        for draw in range(-3, draws):
-            for k in rng.permutation(len(now)):
-                if draw != 0 or chain != 0:  # the very first draw is the best scene as it was polished
-                    now[k] = walk_one(rng, placement, now, k, scales[k], draw < 0)
-            if draw == 0 and chain == 0:
-                now = list(placed)
-            if draw >= 0:
-                numbers = numbers_at(graph, floor_pose, places_of(graph, now, names))
-                values[chain, draw] = [numbers[a] for a in addresses]
-                density[chain, draw] = -placement.view(now)[2].sum() / placement.settings.temper
-    return StructurePosterior(graph, addresses, values, np.zeros((chains, draws)), density, 1.0,
-                              periods_of(graph, addresses))  # fmt: skip
+    laws = laws_of(graph, names, [name for name, item in zip(names, placed, strict=True) if item.known is None])
+    target = SceneTarget(Even(laws), graph, seen(graph))  # type: ignore[arg-type]
+    start = np.array([value if period is None else value % period
+                      for value, period in zip(target.values(graph), target.space.periods, strict=True)])  # fmt: skip
+    if chains * draws == 1:
+        prior, likelihood = target.log_prior(start), target.log_likelihood(start)
+        return part_at(target, start[None, None], np.array([[prior]]), np.array([[likelihood]]), 1.0, {})
+    parts = mixture(target.space, default_parts())
+    sampler = MixtureSampler(target, parts, population=1, places=start[None])
+    plan = Plan(sampler, int(rng.integers(2**63)), chains, WARMUP, draws)
+    outcome = run_chains(plan, THREADS)
+    part = part_of(target, list(outcome.records.values()), parts, 1.0)
+    if part is None or outcome.interrupted:
+        raise KeyboardInterrupt
+    return part
 
 
-def walk_one(
-    rng: np.random.Generator, placement: Placement, placed: list[Placed], k: int, scale: np.ndarray, adapt: bool
-) -> Placed:
-    """Return one solid after some Metropolis steps given the others."""
-    item, settings, image = placed[k], placement.settings, placement.image
-    depth, _, misfit = view = placement.view(placed, k)
-    if item.known is None:
-        rows = in_the_way(state_of(placed).rows, settings)
-        row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
-                   settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip
-        return replace(item, row=row)
-    row, _ = placement.walked(rng, item.known, item.row, item.base, state_of(placed).rows, k, view, scale, STEPS, 1.0,
-                              settings.temper, adapt)  # fmt: skip
-    return replace(item, row=row)
+class Even(NamedTuple):
+    """A prior of the numbers of one structure that are free, each for itself."""
+
+    laws: dict[str, Distribution]  # by address
+
+    def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
+        """Return the distributions of the free numbers of the structure's scenes."""
+        return self.laws
 
 
-def places_of(graph: SceneGraph, placed: list[Placed], names: list[str]) -> dict[str, tuple[np.ndarray, None]]:
-    """Return what `numbers_at` takes of what was placed."""
-    return {
-        name: (pose_of(item.row), parameters_of(item.row, graph.vertex(name).shape)) if item.known is None
-        else (pose_of_known(item.row), None)
-        for name, item in zip(names, placed, strict=True)
-    }  # fmt: skip
+def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str]) -> dict[str, Distribution]:
+    """Return what is believed of each free number of a scene: objects lie anywhere near, those of unknown sizes are as
+    large as the search takes them to be."""
+    laws: dict[str, Distribution] = {}
+    uniform, size = distributions["uniform"], distributions["log-normal"](TYPICAL_SIZE, SIZE_SPREAD)
+    for vertex in (vertex for vertex in graph.vertices if vertex.name in placed):
+        name, round_about = vertex.name, turns_freely(vertex) and not graph.children(vertex.name)
+        if name in unknown:
+            laws |= {f"{name}.{key}": size for key in vertex.parameters}
+        for parameter in graph.contact_parameters(name):
+            address, value = f"{name}.contact.{parameter.name}", vertex.contact.values.get(parameter.name, 0.0)
+            if parameter.slack or parameter.name in ROTATION or (round_about and parameter.name == "theta"):
+                continue  # how a can that carries nothing is turned about itself nothing tells
+            bounded = math.isfinite(parameter.upper - parameter.lower)
+            low, high = (parameter.lower, parameter.upper) if bounded else (value - NEAR, value + NEAR)
+            laws[address] = uniform(low, high)
+        if vertex.contact.type == "6dof":
+            laws[f"{name}.contact.{QUATERNION}"] = distributions["uniform-rotation"]()
+    return laws
