@@ -290,56 +290,24 @@ class Patches(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def moments(points, label, regions):
-    """Return count (P,), centre (P, 3), and scatter (P, 6: xx xy xz yy yz zz) of the regions' points."""
-    count = np.zeros(regions, np.int64)
-    centre = np.zeros((regions, 3))
-    scatter = np.zeros((regions, 6))
-    height, width = label.shape
-    for passes in range(2):
-        for j in range(height):
-            for i in range(width):
-                k = label[j, i]
-                if k < 0:
-                    continue
-                if passes == 0:
-                    count[k] += 1
-                    for axis in range(3):
-                        centre[k, axis] += points[j, i, axis]
-                else:
-                    x = points[j, i, 0] - centre[k, 0]
-                    y = points[j, i, 1] - centre[k, 1]
-                    z = points[j, i, 2] - centre[k, 2]
-                    scatter[k, 0] += x * x
-                    scatter[k, 1] += x * y
-                    scatter[k, 2] += x * z
-                    scatter[k, 3] += y * y
-                    scatter[k, 4] += y * z
-                    scatter[k, 5] += z * z
-        if passes == 0:
-            for k in range(regions):
-                for axis in range(3):
-                    centre[k, axis] /= max(count[k], 1)
-    return count, centre, scatter
-
-
-@njit(cache=True, nogil=True)
 def fit_regions(points, label, regions, origin):
     """Return normal (P, 3) towards the origin, offset (P,), count, centre, residual of all regions."""
-    count, centre, scatter = moments(points, label, regions)
-    normal = np.zeros((regions, 3))
-    offset = np.zeros(regions)
-    residual = np.zeros(regions)
+    sums = np.zeros((regions, 10))
+    for j in range(label.shape[0]):
+        for i in range(label.shape[1]):
+            if label[j, i] >= 0:
+                add_point(sums[label[j, i]], points[j, i, 0], points[j, i, 1], points[j, i, 2])
+    normal, centre = np.zeros((2, regions, 3))
+    offset, residual = np.zeros((2, regions))
     for k in range(regions):
-        n = max(count[k], 1)
-        a, b, c, value = smallest_eigenvector(scatter[k, 0] / n, scatter[k, 1] / n, scatter[k, 2] / n,
-                                              scatter[k, 3] / n, scatter[k, 4] / n, scatter[k, 5] / n)  # fmt: skip
-        if (a * (origin[0] - centre[k, 0]) + b * (origin[1] - centre[k, 1]) + c * (origin[2] - centre[k, 2])) < 0:
-            a, b, c = -a, -b, -c
-        normal[k, 0], normal[k, 1], normal[k, 2] = a, b, c
-        offset[k] = a * centre[k, 0] + b * centre[k, 1] + c * centre[k, 2]
-        residual[k] = np.sqrt(value)
-    return normal, offset, count, centre, residual
+        if sums[k, 0] == 0.0:
+            continue
+        centre[k] = sums[k, 1:4] / sums[k, 0]
+        a, b, c, beyond, value = plane_of(sums[k])
+        side = 1.0 if a * origin[0] + b * origin[1] + c * origin[2] > beyond else -1.0
+        normal[k, 0], normal[k, 1], normal[k, 2] = side * a, side * b, side * c
+        offset[k], residual[k] = side * beyond, np.sqrt(value)
+    return normal, offset, sums[:, 0].astype(np.int64), centre, residual
 
 
 @njit(cache=True, nogil=True)
