@@ -9,6 +9,7 @@ have to be off the image no farther than INEXACT says.
 """
 
 from collections.abc import Iterable
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -44,8 +45,8 @@ from derender.structures.draws.sensor import model_depth
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
 EXACT, INEXACT = 1.1, 2.0
 FLUSH = 0.004  # metres by which sides that are flush are seen apart: real sensors' faces are off by some 3 mm
-# Of the stacks of each pair of kinds that are climbed; times as far off as after that they may be before it: of those
-# that ended as stacks all were less than 2.6 times.
+# Of the stacks of each pair of kinds that are climbed, and of those that are climbed farther; times as far off as after
+# that they may be before it: of those that ended as stacks all were less than 2.6 times.
 TRIED, ROUGHLY = 2, 3.0
 CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is cut in two
 
@@ -89,9 +90,9 @@ def with_stacks(
 
 
 def inexact(seen: Observation, state: State, solids: Iterable[int]) -> list[tuple[int, np.ndarray]]:
-    """Return those of some solids that are not EXACT, each with the mask (H, W) where it shows."""
+    """Return those of some solids that are not EXACT, each with the mask (H, W) of what stands there where it shows."""
     label, bad = badness(seen, state)
-    return [(k, label == k) for k in solids if EXACT < bad[k] < np.inf]
+    return [(k, seen.mask & (label == k)) for k in solids if EXACT < bad[k] < np.inf]
 
 
 def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -133,9 +134,10 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
                 for alike in start.values() for each in alike[:TRIED]]  # fmt: skip
 
     def likeliest(found: list[Refined], places: tuple[int, ...]) -> tuple[Refined, float]:
-        """Return the Refined that is likeliest of some, climbed farther, and its evidence."""
-        state = max(found, key=height).state
-        best = at_mode(rng, state, floor, sensor, rules, 2 * ANNEALING, list(places), ())
+        """Return the Refined that is likeliest once the TRIED best of some are climbed farther, and its evidence."""
+        farther = partial(at_mode, rng, floor_pose=floor, sensor=sensor, rules=rules, steps=2 * ANNEALING,
+                          only=list(places), temperatures=())  # fmt: skip
+        best = max((farther(each.state) for each in sorted(found, key=height)[-TRIED:]), key=height)
         return best, near_evidence(best, places)
 
     likely_enough = climbed([each for each in twos if exact(each, ROUGHLY * INEXACT)], both)
