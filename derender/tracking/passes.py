@@ -1,4 +1,4 @@
-"""Which passes over a film are made: forward; again once sizes are known; and from another frame where that fails.
+"""Which passes over a film are made: forward, then all over again; and from another frame where that fails.
 
 Things that stand flush or hide each other in the first frame may be told apart only later. Where a pass leaves frames
 unexplained, another frame is inferred and followed both ways, and the pass that explains the film better is kept: by
@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender.tracking.drawing import DEVIATION
+from derender.tracking.smoothing import Smoother
 from derender.tracking.thing import LOST, Start
 from derender.tracking.track import Recorder, Track
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
 
-GROWN = 0.002  # metres by which an extent must have changed for the film to be gone through again with what is known
-POSE_ROOM = (0.005, 0.05)  # metres and radians: what the first pose may change by when the sizes have
 UNEXPLAINED = (
     5.0,
     0.02,
@@ -52,7 +51,7 @@ class Passes:
 
     def best(self) -> "Pass":
         """Return the best pass, beginning with one from the first frame."""
-        found = self.improved(self.go(0, self.begin(self.frames[0])))
+        found = self.go(0, self.begin(self.frames[0]))
         if self.moving_camera and found.cut is None and len(self.frames) > 1:
             return self.anchored(found)
         if self.moving_camera or found.explained() or found.cut is not None:
@@ -61,7 +60,7 @@ class Passes:
             start = self.begun(anchor, found.start)
             if not start.things:
                 continue
-            other = self.improved(self.go(anchor, start))
+            other = self.go(anchor, start)
             if other.cut is None and other.cost() < found.cost() - BETTER:
                 found = other
             if found.explained():
@@ -83,30 +82,12 @@ class Passes:
         if self.gravity is not None:
             reverse.gravity = found.forward.seen[-1].view[:3, :3] @ self.gravity
         last = len(self.frames) - 1
-        other = reverse.improved(reverse.go(last, self.begun(last, found.start)))
+        other = reverse.go(last, self.begun(last, found.start))
         same = other.cut is None and len(other.start.things) == len(found.start.things)
         return other if same and other.cost() < found.cost() else found
 
-    def improved(self, found: "Pass") -> "Pass":
-        """Return the pass, or one with the sizes that it ended with, where they differ from those of its beginning."""
-        if found.cut is not None or not found.start.things:
-            return found
-        last = {thing.name: thing for thing in found.forward.tracker.things}
-        things, changed = [], 0.0
-        for thing in found.start.things:
-            known = last[thing.name]
-            changed = max(changed, float(np.abs(known.size - thing.size).max()))
-            covariance = np.zeros(thing.covariance.shape)
-            covariance[:6, :6] = np.diag(np.repeat(POSE_ROOM, 3) ** 2)
-            covariance[6:, 6:] = known.covariance[6:, 6:]
-            things.append(thing.copy(size=known.size.copy(), covariance=covariance))
-        if changed < GROWN:
-            return found
-        again = self.go(found.anchor, found.start._replace(things=things, searched=True))
-        return again if again.cut is None and again.cost() < found.cost() else found
-
     def go(self, anchor: int, start: Start) -> "Pass":
-        """Follow what is there in frame `anchor` to the end of the film and to its beginning."""
+        """Follow what is there in frame `anchor` to the end of the film and to its beginning, then go over it again."""
         both = []
         for frames in (self.frames[anchor:], self.frames[anchor::-1] if anchor else []):
             if not len(frames):
@@ -120,7 +101,9 @@ class Passes:
                 if self.progress:
                     self.progress((n + 1) / len(self.frames), f"frame {n + 1}")
             both.append(recorder)
-        return Pass(anchor, start, both[0], both[1] if anchor else None)
+        found = Pass(anchor, start, both[0], both[1] if anchor else None)
+        Smoother(found, self.frames).smooth()
+        return found
 
 
 class Pass:
@@ -136,9 +119,15 @@ class Pass:
             (anchor + way * r.cut for way, r in ((1, forward), (-1, backward)) if r and r.cut is not None), None
         )
 
+    def rows(self) -> list[tuple[int, Recorder, int]]:
+        """Return the frames in the order of time: (number, the recorder that has seen it, as its which frame)."""
+        before, after = self.backward, range(len(self.forward.seen))
+        back = [] if before is None else [(self.anchor - n, before, n) for n in range(len(before.seen) - 1, 0, -1)]
+        return back + [(self.anchor + n, self.forward, n) for n in after]
+
     def costs(self) -> np.ndarray:
         """Return the cost of each frame in nats, and its pixels, (2, T)."""
-        seen = [*(self.backward.seen[:0:-1] if self.backward else []), *self.forward.seen]
+        seen = [recorder.seen[n] for _, recorder, n in self.rows()]
         return np.array([[frame.cost for frame in seen], [frame.valid for frame in seen]])
 
     def cost(self) -> float:

@@ -92,7 +92,6 @@ class Start(NamedTuple):
     """The beginning of a film.
 
     sigma, growth, blur : the sensor's noise, sd = sigma + growth z^2, metres, and its blur in pixels.
-    searched : whether the poses' covariances are only room for a search, so that the frame itself tells their spread.
     """
 
     things: list[Thing]  # the solids that stand, lie or fly
@@ -102,7 +101,6 @@ class Start(NamedTuple):
     growth: float
     blur: float
     temper: float  # pixels that tell as much as one independent one
-    searched: bool = False
 
     def copy(self) -> "Start":
         """Return a copy whose things are its own."""

@@ -29,7 +29,7 @@ QUIET_DEVIATIONS = 3.0  # of its pose, within which it may besides jitter from f
 QUIET_FRAMES = 3  # on end: then it rests
 ROOM = (0.012, 0.12)  # metres and radians by which a moving thing may be off its prediction, and ...
 ROOM_SHARE = 0.6  # ... of its last motion besides
-BIAS = 0.2  # pixels by which outlines may be off in one direction, frame after frame: sensors lose pixels there
+BIAS = 0.1  # pixels by which outlines may be off in one direction, frame after frame: sensors lose pixels there
 WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
 MORE_THAN_BEFORE = 2.0  # times at once that the usual cost rises where no beginning led to a better one
 GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
@@ -97,11 +97,9 @@ class Tracker(Drawing):
 
     def _refine_first(self) -> None:
         """Move each thing to where the smooth image is explained best; its spread stays that of the posterior, which
-        knows this frame already, unless it was only room for this search."""
+        knows this frame already."""
         for k, thing in enumerate(self.things):
-            curvature = self.fit(k, thing.pose, np.linalg.inv(thing.covariance), free=True)[1]
-            if self.start.searched:
-                thing.covariance[:6, :6] = np.linalg.inv(curvature)[:6, :6]
+            self.fit(k, thing.pose, np.linalg.inv(thing.covariance), free=True)
             thing.pose, thing.size = self.poses[self.planes + k].copy(), self.sizes[self.planes + k].copy()
 
     def _take(self, k: int, curvature: np.ndarray) -> None:
@@ -114,12 +112,12 @@ class Tracker(Drawing):
             thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
             return
         thing.covariance = covariance
-        least = self._bias(thing) ** 2
+        least = self.bias(thing) ** 2
         for p in range(6, len(covariance)):
             covariance[p, p] = max(covariance[p, p], least)
         thing.size = self.sizes[index].copy()
 
-    def _bias(self, thing: Thing) -> float:
+    def bias(self, thing: Thing) -> float:
         """Return the metres at a thing's depth that outlines may be off by in all frames alike."""
         return BIAS * max(float((self.view @ thing.pose)[2, 3]), 0.0) / self.camera.fx
 
@@ -215,10 +213,7 @@ class Tracker(Drawing):
         thing.velocity, thing.spin = shift / self.step, turn / self.step
         if thing.type == "sphere":
             thing.spin = np.zeros(3)
-        spread = QUIET_DEVIATIONS * np.sqrt(np.diag(thing.covariance)[:6])
-        quiet = np.linalg.norm(shift) < max(QUIET[0], spread[:3].max())
-        quiet = quiet and np.linalg.norm(turn) < max(QUIET[1], spread[3:].max())
-        thing.quiet = thing.quiet + 1 if quiet else 0
+        thing.quiet = thing.quiet + 1 if is_quiet(np.concatenate([shift, turn]), thing.covariance) else 0
         thing.state = MOVING
         if thing.quiet >= QUIET_FRAMES:
             thing.state = STILL
@@ -458,7 +453,7 @@ class Tracker(Drawing):
             if thing.here:
                 poses[k] = self.view @ thing.pose
                 covariances[k] = self.turned(thing.covariance[:6, :6])
-                covariances[k, :3, :3] += self._bias(thing) ** 2 * np.eye(3)
+                covariances[k, :3, :3] += self.bias(thing) ** 2 * np.eye(3)
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
         total = float(cost(self.misfit, self.poses, self.sizes)) if self.nats is None else self.nats * self.start.temper
@@ -479,6 +474,13 @@ class Tracker(Drawing):
 def rotation_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the rotation vector (3,), world axes, from one pose to another."""
     return rotation_vector(after[:3, :3] @ before[:3, :3].T)
+
+
+def is_quiet(motion: np.ndarray, covariance: np.ndarray) -> bool:
+    """Return whether a shift and a turn (6,) are no more than what rests jitters by; covariance : of its pose."""
+    spread = QUIET_DEVIATIONS * np.sqrt(np.diag(covariance)[:6])
+    shifted, turned = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+    return bool(shifted < max(QUIET[0], spread[:3].max()) and turned < max(QUIET[1], spread[3:].max()))
 
 
 def narrowed(before: np.ndarray, after: np.ndarray) -> float:

@@ -6,7 +6,6 @@ import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
 from derender.tracking.passes import Passes
-from derender.tracking.tracker import Tracker
 
 GRAVITY = -9.81 * films.view()[:3, 2]
 SMALL = [0.06, 0.06, 0.06]
@@ -46,17 +45,6 @@ def test_a_film_that_is_explained_is_gone_through_once_from_its_first_frame():
 
     best = Passes(frames, CAMERA, GRAVITY, 1 / FPS, begin).best()
     assert len(asked) == 1 and best.anchor == 0 and best.explained()
-
-
-def test_a_pose_that_only_a_search_gave_room_is_as_sure_as_its_frame_tells():
-    frames, poses = parting()
-    given = start(["box", "box"], [SMALL, SMALL], poses[0])
-    for thing in given.things:
-        thing.covariance[:6, :6] = np.diag(np.repeat([0.005, 0.05], 3) ** 2)
-    tracker = Tracker(CAMERA, given._replace(searched=True), frames[0], GRAVITY, 1 / FPS)
-    for thing, true in zip(tracker.things, poses[0], strict=True):
-        spread = np.sqrt(np.diag(thing.covariance)[:3])
-        assert spread.max() < 0.0025 and np.abs(thing.pose[:3, 3] - true[:3, 3]).max() < 0.004
 
 
 def test_a_film_of_one_frame_has_a_track():
