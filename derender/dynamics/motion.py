@@ -16,13 +16,8 @@ MOVED_RADIANS = 0.12
 # What something that moves comes this near to, metres, may have been struck, however little it moved: it moves too, and
 # where it stands is as uncertain as tracking says.
 STRUCK_WITHIN = 0.005
-# Tracking's errors are alike from frame to frame as long as outlines fall on the same pixels: of a body that moves by
-# so many pixels a frame, or more, they fade over so many frames, of a slower one over as much longer, of one at rest
-# hardly. (On 72 bodies of made films that is 380 nats likelier than errors that fade with the way alone.)
-SAME_PIXELS, SAME_FRAMES, AT_REST = 0.3, 2.0, 0.002
-# Of two poses that are nearer than this (metres, and entries of the rotation), the second is the first one held: by
-# tracking, until the body is off by so many metres.
-REPEATED, HELD_WITHIN = 1e-9, 0.001
+# Of two poses that are nearer than this (metres, and entries of the rotation), the second is the first one held.
+REPEATED = 1e-9
 
 
 class Motion(NamedTuple):
@@ -32,7 +27,6 @@ class Motion(NamedTuple):
         the frame of the poses, and which bodies are joined at the start.
     covariances : (T, N, 6, 6) float64 of the centre (metres, in the frame of the poses) and of a rotation vector
         (radians, in the body's axes: R_true = R exp(phi)).
-    pixels : (N,) metres that a pixel of the image shows at each body; 0 where errors of poses are independent.
     """
 
     matter: Matter
@@ -40,7 +34,6 @@ class Motion(NamedTuple):
     times: np.ndarray  # (T,) float64, seconds, evenly spaced and rising
     poses: np.ndarray  # (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen
     covariances: np.ndarray
-    pixels: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
@@ -62,19 +55,6 @@ class Motion(NamedTuple):
         between[-1] = False
         return self.seen & ~between
 
-    def noise(self, k: int) -> np.ndarray:
-        """Return the covariance (F, 6, F, 6) of body k's poses over its F fresh frames."""
-        shown = np.flatnonzero(self.fresh[:, k])
-        alike = np.eye(len(shown))
-        if self.pixels[k] > 0:
-            moved = np.linalg.norm(np.diff(self.poses[shown, k, :3, 3], axis=0), axis=-1) / self.pixels[k]
-            frames = np.diff(shown)
-            renewed = frames * np.clip(moved / frames / SAME_PIXELS, AT_REST, 1.0) / SAME_FRAMES
-            age = np.concatenate([[0.0], np.cumsum(renewed)])
-            alike = np.exp(-np.abs(age[:, None] - age))
-        lower = np.linalg.cholesky(self.covariances[shown, k])
-        return np.einsum("ts,tij,skj->tisk", alike, lower, lower)
-
     @property
     def step(self) -> float:
         """Seconds between two frames."""
@@ -86,18 +66,13 @@ class Motion(NamedTuple):
 
 
 def motion_of(
-    matter: Matter,
-    names: tuple[str, ...],
-    times: np.ndarray,
-    poses: np.ndarray,
-    covariances: np.ndarray,
-    pixels: np.ndarray | None = None,
+    matter: Matter, names: tuple[str, ...], times: np.ndarray, poses: np.ndarray, covariances: np.ndarray
 ) -> Motion:
     """Check tracked poses, and return those of the bodies that moved or may have been struck by one that did.
 
     All others stand fixed where they were first seen.
 
-    matter, names, times, poses, covariances, pixels : as in `Motion`, of all tracked bodies.
+    matter, names, times, poses, covariances : as in `Motion`, of all tracked bodies.
 
     Raises DerenderError : for fewer than three frames, times that do not rise evenly, or a covariance that is none.
     """
@@ -130,7 +105,6 @@ def motion_of(
         times,
         poses[:, moving],
         covariances[:, moving],
-        np.zeros(len(moving)) if pixels is None else np.asarray(pixels, float)[moving],
     )
 
 

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
-from derender.dynamics.motion import HELD_WITHIN, Motion
+from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.states import CHANGE, FREE, difference, flush, moved, plane_under, ways_of
 
@@ -69,7 +69,6 @@ class Shooting(Impacts):
     def __init__(self, motion: Motion, parameters: Parameters, engine: Engine) -> None:
         super().__init__(motion)
         self.parameters, self.engine = parameters, engine
-        self.noise = [motion.noise(k) for k in range(self.count)]
         states, planes = self.filled(), [body.pose for body in motion.matter.bodies if body.kind == "plane"]
         # what comes down on a plane may rock; what lay on it before a blow, too, is held to it
         self.planes = [plane_under(self.bodies[k], planes, states[max(frame - 1, 0) :, k]) for frame, k in self.cuts]
@@ -291,7 +290,7 @@ class Shooting(Impacts):
                     reached[frame] = 0.0
             reached[self.is_cut[:, k]] = 0.0
             shown = np.flatnonzero(self.seen[:, k])
-            model = reached[shown] @ reached[shown].T + np.diag(self.motion.held[shown, k] * HELD_WITHIN**2)
+            model = reached[shown] @ reached[shown].T
             for frame, *pair, _ in self.blows:  # it may have begun before the frame that shows it, by what that takes
                 model += np.diag((shown == frame - 1) * (k in pair) * (STRUCK / 2) ** 2)
             covariance = np.zeros((len(shown), 6, len(shown), 6))
@@ -300,7 +299,8 @@ class Shooting(Impacts):
             weight = self._weights(k, scales)
             if robust is not None:
                 weight = weight / np.sqrt(robust[shown, k])[:, None]
-            covariance += np.einsum("ti,tisj,sj->tisj", weight, self.noise[k], weight)
+            each = np.arange(len(shown))
+            covariance[each, :, each] += weight[:, :, None] * self.spread[shown, k] * weight[:, None]
             factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
             factors.append(factor)
             total += float(np.sum(np.log(np.diag(factor))))
@@ -335,7 +335,7 @@ class Shooting(Impacts):
 
     def _weights(self, k: int, scales: Scales) -> np.ndarray:
         """Return by what each error of body k's poses is multiplied (F, 6); how a sphere turns is not seen at all."""
-        weights = np.tile(np.repeat([scales.tracking, scales.turning], 3), (len(self.noise[k]), 1))
+        weights = np.tile(np.repeat([scales.tracking, scales.turning], 3), (int(self.seen[:, k].sum()), 1))
         if self.bodies[k].kind == "sphere":
             weights[:, 3:] = 1.0
         return weights
@@ -387,7 +387,7 @@ class Shooting(Impacts):
             shown = np.flatnonzero(self.seen[:, k])
             pulled = cho_solve((factor, True), residual[shown, k].ravel()).reshape(-1, 6)
             weight = self._weights(k, scales)
-            error = weight * np.einsum("tisj,sj->ti", self.noise[k], weight * pulled)
+            error = weight * np.einsum("tij,tj->ti", self.spread[shown, k], weight * pulled)
             stated = weight[:, :, None] * self.spread[shown, k] * weight[:, None]
             square = np.einsum("ti,ti->t", error, np.linalg.solve(stated, error[..., None])[..., 0])
             weights[shown, k] = LOST / np.maximum(square, LOST)

@@ -68,8 +68,7 @@ def motion_of_track(track: Track) -> Motion:
             covariances[:, column, 3:, :3] = covariances[:, column, :3, 3:] = 0.0
             covariances[:, column, 3:, 3:] = SPUN**2 * np.eye(3)
     matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
-    pixels = track.pixel * np.nanmedian(np.abs(poses[..., 2, 3]), axis=0)
-    return motion_of(matter, tuple(names), track.times, poses, covariances, pixels)
+    return motion_of(matter, tuple(names), track.times, poses, covariances)
 
 
 def _held(track: Track, back: np.ndarray) -> set[str]:

@@ -43,7 +43,6 @@ class Track:
     pixels: np.ndarray  # (T, N, 4), see fit.pixels_of
     notes: list[str] = field(default_factory=list)  # what was assumed, as sentences
     cut: int | None = None  # the first frame that is not tracked, or None
-    pixel: float = 0.0  # radians between two pixels in the middle of the image; 0 where that is not known
 
     def parents(self) -> list[list[str | None]]:
         """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""
@@ -190,7 +189,6 @@ class Recorder:
             None if tracker.floor is None else first @ tracker.floor,
             first[:3, :3] @ self.gravity,
             np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,
-            1.0 / tracker.camera.fx,
         )  # fmt: skip
         resting = np.array([[state == STILL for state in row] for row in states]).reshape(length, count)
         track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors(), resting)

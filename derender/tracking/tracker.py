@@ -453,7 +453,6 @@ class Tracker(Drawing):
             if thing.here:
                 poses[k] = self.view @ thing.pose
                 covariances[k] = self.turned(thing.covariance[:6, :6])
-                covariances[k, :3, :3] += self.bias(thing) ** 2 * np.eye(3)
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
         total = float(cost(self.misfit, self.poses, self.sizes)) if self.nats is None else self.nats * self.start.temper
