@@ -10,7 +10,6 @@ from derender import data_path
 from derender.camera.intrinsics import Camera
 from derender.document import read_document
 from derender.evaluation.convex import intersection_volume
-from derender.render.renderers.preview import enlarged
 from derender.report.pictures import shade
 from derender.scene.contacts import contacts
 from derender.scene.graph import SceneGraph
@@ -26,7 +25,7 @@ FLUSH = 1e-6
 def picture(graph: SceneGraph, camera: Camera | None) -> np.ndarray:
     """Return a shaded picture of a scene, about 480 pixels wide; cubes have the colours of their names."""
     assert camera is not None, "the files of the figures name their cameras"
-    return shade(graph.solids(), enlarged(camera, max(1, round(480 / camera.width))), graph.solid_names)
+    return shade(graph.solids(), camera.downscaled(1 / max(1, round(480 / camera.width))), graph.solid_names)
 
 
 def show(axes, image: np.ndarray, title: str = "", colour: str = "#999999") -> None:

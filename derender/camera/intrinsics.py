@@ -127,7 +127,10 @@ class Camera:
         return points[..., :2] / points[..., 2:] * (self.fx, self.fy) + (self.cx, self.cy)
 
     def downscaled(self, factor: float) -> "Camera":
-        """Return the camera whose pixels are blocks of factor x factor of this one's; a rest at the edge is cut off."""
+        """Return the camera whose pixels are blocks of factor x factor of this one's; a rest at the edge is cut off.
+
+        factor : 1 / n makes n x n samples of each pixel, whose mean is the pixel.
+        """
         offset = (factor - 1) / 2
         return replace(
             self,
@@ -135,8 +138,8 @@ class Camera:
             fy=self.fy / factor,
             cx=(self.cx - offset) / factor,
             cy=(self.cy - offset) / factor,
-            width=int(self.width // factor),
-            height=int(self.height // factor),
+            width=int(self.width / factor + 1e-9),  # 160 / (1 / 5) is a little less than 800
+            height=int(self.height / factor + 1e-9),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -157,10 +157,10 @@ def _write_picture(target: str, engine: Any, graph: "SceneGraph", camera: Any) -
     import imageio.v3 as imageio
 
     from derender.atomic import atomic_path
-    from derender.render.renderers.preview import draw_preview, enlarged
+    from derender.render.renderers.preview import draw_preview
     from derender.report.pictures import colours_of
 
-    camera, solids = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width))), graph.solids()
+    camera, solids = camera.downscaled(1 / max(1, -(-PREVIEW_WIDTH // camera.width))), graph.solids()
     picture = draw_preview(engine.render_depth, solids, camera, colours_of(solids, graph.solid_names))
     with atomic_path(target) as temporary:
         imageio.imwrite(temporary, picture)

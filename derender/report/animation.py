@@ -25,9 +25,9 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     solids, names : the scene at the start and the names of its solids; those that the trajectory does not name stay.
     """
     from derender.render.raycast.depth import render_depth
-    from derender.render.renderers.preview import draw_preview, enlarged
+    from derender.render.renderers.preview import draw_preview
 
-    eye = enlarged(camera, max(1, round(WIDTH / camera.width))) if camera.width < WIDTH else _reduced(camera)
+    eye = camera.downscaled(camera.width // WIDTH or 1 / round(WIDTH / camera.width))
     moving = [k for k, name in enumerate(trajectory.names) if name in names]
     index = [names.index(trajectory.names[k]) for k in moving]
     duration = float(trajectory.times[-1])
@@ -102,8 +102,3 @@ def _write_film(path: Path, pictures: np.ndarray) -> None:
             raise DerenderError(
                 f"ffmpeg failed: {said[-1]}", path, "install an ffmpeg with H.264, or write .gif or .webp"
             )
-
-
-def _reduced(camera: Camera) -> Camera:
-    factor = max(1, camera.width // WIDTH)
-    return camera.downscaled(factor) if factor > 1 else camera

@@ -17,7 +17,6 @@ import numpy as np
 from derender.atomic import write_bytes
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.report import pictures
 from derender.report.contents import Report
 from derender.results.trust import Region
 from derender.scene import solids as kinds
@@ -265,13 +264,13 @@ def depth_pictures(report: Report) -> str:
                if report.solids.kind[index] != kinds.PLANE]  # fmt: skip
     near = np.isin(label, np.flatnonzero(report.solids.kind != kinds.PLANE))
     if report.observed is None:
-        low, high = pictures.depth_limits(explained, near)
-        still = pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names))
+        low, high = depth_limits(explained, near)
+        still = png_uri(shade(report.solids, report.camera, report.solid_names))
         marks = marks_svg(report.camera.shape, objects)
-        shown = [picture("explained depth", explained, low, high, "m", pictures.DEPTH_ANCHORS, marks),
+        shown = [picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, marks),
                  f'<figure><div class="layers"><img src="{still}" alt="the scene">{marks}</div></figure>']  # fmt: skip
         return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>"
-    low, high = pictures.depth_limits(report.observed, near)
+    low, high = depth_limits(report.observed, near)
     regions: list[Region] = [region for doubt in report.doubts for region in doubt.regions]
     middle = report.observed[near & np.isfinite(report.observed)]
     middle = middle if middle.size else report.observed[np.isfinite(report.observed)]
@@ -285,9 +284,9 @@ def depth_pictures(report: Report) -> str:
     words += f" (median |r| {1000 * np.median(known):.1f} mm)" if known.size else ""
     ends = -1000 * scale, 1000 * scale
     shown = [
-        picture("observed depth", report.observed, low, high, "m", pictures.DEPTH_ANCHORS, marks),
-        picture("explained depth", explained, low, high, "m", pictures.DEPTH_ANCHORS, plain),
-        picture(words, 1000 * residual, *ends, "mm", pictures.RESIDUAL_ANCHORS, doubtful),
+        picture("observed depth", report.observed, low, high, "m", DEPTH_ANCHORS, marks),
+        picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, plain),
+        picture(words, 1000 * residual, *ends, "mm", RESIDUAL_ANCHORS, doubtful),
     ]
     return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>" + _predictive(report, report.observed)
 
@@ -320,10 +319,8 @@ def _predictive(report: Report, observed: np.ndarray) -> str:
     widest = float(np.clip(widest, 5e-4, 0.05))
     words = f"surprise: (observed − predicted) / sd, of {len(report.draws)} draws and the noise"
     shown = [
-        picture(
-            "spread of the posterior's draws (sd)", 1000 * spread, 0.0, 1000 * widest, "mm", pictures.DEPTH_ANCHORS
-        ),
-        picture(words, surprise, -SURPRISE, SURPRISE, "sd", pictures.RESIDUAL_ANCHORS),
+        picture("spread of the posterior's draws (sd)", 1000 * spread, 0.0, 1000 * widest, "mm", DEPTH_ANCHORS),
+        picture(words, surprise, -SURPRISE, SURPRISE, "sd", RESIDUAL_ANCHORS),
     ]
     return '<h2>What the posterior predicts</h2><div class="pictures">' + "".join(shown) + "</div>"
 
@@ -335,7 +332,7 @@ def picture(
     ramp = ", ".join("#" + colour for colour in anchors)
     form = ".2f" if unit == "m" else "+.1f" if low < 0.0 else ".1f"
     return (
-        f'<figure><div class="layers"><img src="{pictures.painted_uri(values, low, high, anchors)}" '
+        f'<figure><div class="layers"><img src="{painted_uri(values, low, high, anchors)}" '
         f'alt="{escape(words)}">{marks}</div><figcaption><span>{escape(words)}</span><span>{low:{form}} '
         f'<span class="bar" style="background:linear-gradient(90deg, {ramp})"></span> {high:{form}} {unit}</span>'
         "</figcaption></figure>"

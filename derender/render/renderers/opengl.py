@@ -21,7 +21,6 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.render.renderers.preview import enlarged
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 
 PLATFORMS = {"osmesa": "OSMesa", "egl": "EGL"}  # our order of preference, and the library that each needs
@@ -131,7 +130,7 @@ def render_depth(
 
     Raises DerenderError : OpenGL does not work here; says what to install.
     """
-    sampled = enlarged(camera, antialias)
+    sampled = camera.downscaled(1 / antialias)
     depth, label = _shared_renderer(os.getpid()).draw(solids, sampled)
     depth[label < 0] = background
     if antialias == 1:

@@ -50,7 +50,7 @@ def draw_preview(
     Returns (height, width, 3) uint8.
     """
     colours = default_colours(solids) if colours is None else colours
-    large = enlarged(camera, samples)
+    large = camera.downscaled(1 / samples)
     depth, label = render_depth(solids, large)
     points = large.points(depth)
     normals = _normals(points, label)
@@ -70,19 +70,6 @@ def draw_preview(
     picture[hit] = colours[label[hit]] * np.clip(shade[hit], 0, 1.15)[:, None]
     blocks = np.clip(picture, 0, 255).reshape(camera.height, samples, camera.width, samples, 3)
     return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
-
-
-def enlarged(camera: Camera, factor: int) -> Camera:
-    """Return the camera with factor x factor samples a pixel: the mean of a block is the pixel."""
-    offset = (factor - 1) / 2
-    return Camera(
-        camera.fx * factor,
-        camera.fy * factor,
-        camera.cx * factor + offset,
-        camera.cy * factor + offset,
-        camera.width * factor,
-        camera.height * factor,
-    )
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
