@@ -20,6 +20,7 @@ STILL = 320  # columns, about, of the picture that stands in where a browser dra
 # The greatest contact force is as long as the greatest extent of a solid, and a tenth of that wide at its tail.
 FORCE_LENGTH, FORCE_WIDTH = 1.0, 0.1
 FORCE_COLOUR = (200, 0, 170)  # which no object is named after
+HUGE = 1e9  # newtons or metres: no simulation tells more
 
 
 def viewer_html(report: Report, colours: np.ndarray) -> str:
@@ -111,11 +112,15 @@ def _without_far_points(points: np.ndarray) -> np.ndarray:
 def _needles(report: Report) -> np.ndarray:
     """Return the contact forces that a simulation tells as needles, whose tips are where they act: (12 F, 3) corners
     of their triangles, in the camera's frame."""
-    told = [(each["point"], each["force"]) for each in report.simulated.get("forces") or ()]
-    tips, forces = np.array(told, dtype=float).reshape(-1, 2, 3).transpose(1, 0, 2)
+    try:
+        told = [(each["point"], each["force"]) for each in report.simulated.get("forces") or ()]
+        found = np.array(told, dtype=float).reshape(-1, 2, 3)
+    except (TypeError, ValueError, KeyError):  # the file may be of anyone's making
+        return np.zeros((0, 3))
+    tips, forces = found[(np.abs(found).max(axis=(1, 2)) < HUGE) & found[:, 1].any(axis=1)].transpose(1, 0, 2)
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
     longest = FORCE_LENGTH * float(np.max(report.solids.size, initial=0.0))
-    if not strength.any():
+    if not len(forces):
         return np.zeros((0, 3))
     tails = tips - forces * (longest / strength.max())
     way = forces / np.maximum(strength, 1e-12)

@@ -253,7 +253,7 @@ def load(path: str | Path) -> Posterior:
         header, arrays = read_archive(path, FORMAT)
     except DerenderError as fault:
         what = f"not a posterior written by derender ({fault.what})"
-        raise DerenderError(what, path, "give a DIR made by derender infer") from fault
+        raise DerenderError(what, path, "give a DIR that derender infer of this version made") from fault
     parts = tuple(
         StructurePosterior(
             scene_of(part["scene"], part["objects"]),

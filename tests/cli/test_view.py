@@ -69,6 +69,15 @@ def test_a_missing_page_is_made_and_opened(folder, monkeypatch):
     assert "Simulated: falls" in page and "derender simulate &lt;x&gt;" in page
 
 
+@pytest.mark.parametrize(
+    "forces", [{"a": 1}, [{"point": [1, 2], "force": [1]}], [{"point": [0, 0, 1], "force": [1e999] * 3}], 3]
+)
+def test_what_is_no_simulation_is_left_out(folder, forces):
+    (folder / "simulation.json").write_text(json.dumps({"verdict": "stands", "forces": forces}))
+    view(folder, "--no-open")
+    assert "Simulated: stands" in (folder / "report.html").read_text()
+
+
 def test_the_page_of_many_frames_is_their_index(tmp_path):
     (tmp_path / "index.html").write_text("many")
     assert view(tmp_path, "--no-open").stdout.strip() == str(tmp_path / "index.html")
