@@ -1,5 +1,6 @@
 """The functions of `import derender`: read, draw, render, infer and simulate, in plain Python."""
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
@@ -172,7 +173,7 @@ def infer(
 
 
 def _warn(line: str) -> None:
-    warnings.warn(line, stacklevel=4)  # where `infer` was called
+    warnings.warn(re.sub("--(?=[a-z])", "", line), stacklevel=5)  # where `infer` was called, in Python's words
 
 
 def as_camera(camera: Camera | str | Path | None) -> Camera | None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,6 +119,14 @@ def test_what_is_refused_for_an_image(thing, words):
 def test_an_argument_of_another_type_is_told_in_a_line(call):
     with pytest.raises(TypeError, match=r"^[a-z_]+\(\): [a-z]+ is .{1,60}; give .+$"):
         call()
+
+
+def test_a_warning_is_about_the_line_that_called(image):
+    with pytest.warns(UserWarning) as told:
+        derender.infer(np.nan_to_num(image.depth), quick=True, chains=3)
+    assert {Path(each.filename).name for each in told} == {"test_interface.py"}
+    words = [str(each.message) for each in told]
+    assert words[0].startswith("camera is not given") and words[1].startswith("chains says nothing here")
 
 
 def test_numbers_of_other_libraries_are_numbers():
