@@ -44,6 +44,7 @@ TURNS = (0, 90, 180, 270)  # degrees clockwise
 FARTHEST = 1000.0  # metres; farther than any depth camera sees
 FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
 NEAREST_MEDIAN = 0.002  # metres; likewise
+NEAREST = 1e-6  # metres; what is nearer is no return: its inverse square would overflow where noise is estimated
 SKY = 65504.0  # the largest half float: what Blender and others write into an .exr where a ray hits nothing
 
 
@@ -267,7 +268,7 @@ def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path
             depth[depth >= SKY] = np.nan
     if array.dtype == np.uint16:
         depth[array == SATURATED] = np.nan
-    depth[~np.isfinite(depth) | (depth == 0)] = np.nan
+    depth[~np.isfinite(depth) | (np.abs(depth) < NEAREST)] = np.nan
     valid = depth[np.isfinite(depth)]
     if not valid.size:
         raise DerenderError("no pixel has a depth (all are 0, NaN or inf)", path, "check the camera or the export")

@@ -270,3 +270,10 @@ def test_what_exif_says_of_turning_is_done_to_image_and_camera(tmp_path, format,
     Image.fromarray(units).save(tmp_path / "image", format, exif=exif)
     with pytest.raises(DerenderError, match="EXIF orientation mirrors"):
         read_depth(tmp_path / "image", camera)
+
+
+def test_a_depth_of_nothing_is_no_return():
+    """One pixel at 1e-300 m made NumPy warn of overflows, in lines that no user can read."""
+    depth = np.full((24, 32), 0.9)
+    depth[3, 4], depth[5, 6] = 1e-300, 5e-324
+    assert np.isnan(read_depth(depth).depth[[3, 5], [4, 6]]).all()
