@@ -167,12 +167,13 @@ helpers: list[Callable[[], object]] = []  # called when this process first compi
 
 @functools.cache
 def announce() -> None:
-    """Say it, at most once in a process, and call for help; worker processes leave it to the one that started them."""
+    """Say it, at most once in a process, and call for help; of worker processes the first one says it for all."""
     import multiprocessing
 
-    if multiprocessing.parent_process() is None:
-        for helper in helpers:
-            helper()
+    alone = multiprocessing.parent_process() is None
+    for helper in helpers if alone else ():
+        helper()
+    if alone or multiprocessing.current_process().name.endswith("-1"):
         clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
         print(
             f"{clear}derender: compiling kernels that are new to this machine (seconds to a minute; they are kept)",

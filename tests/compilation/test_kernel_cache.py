@@ -1,6 +1,7 @@
 """The cache of compiled functions: never stale, anywhere, for any number of processes."""
 
 import hashlib
+import multiprocessing
 import os
 import shutil
 import subprocess
@@ -12,7 +13,7 @@ import pytest
 
 import derender
 from derender.atomic import fcntl
-from derender.compilation import entries
+from derender.compilation import cache, entries
 from derender.compilation.cache import Kernel, njit
 from derender.compilation.entries import is_private, read_entry
 
@@ -150,6 +151,15 @@ def test_a_change_of_what_is_compiled_in_is_noticed_and_one_of_words_is_not(pack
     assert changed("x + 1", "x + 2  # no longer 1") == ["47", "False"]
     assert changed("2.0", "12.0") == ["57", "False"]
     assert changed("first: int\n    second", "second: int\n    first") == ["76", "False"]
+
+
+def test_the_first_of_many_processes_says_that_it_compiles(monkeypatch, capsys):
+    """The first batch on a machine once said nothing for as long as a minute."""
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: multiprocessing.current_process())
+    for name, told in (("SpawnProcess-1", 1), ("SpawnProcess-2", 0)):
+        monkeypatch.setattr(multiprocessing.current_process(), "_name", name)
+        cache.announce.__wrapped__()
+        assert capsys.readouterr().err.count("compiling kernels") == told
 
 
 def test_what_was_compiled_is_called_without_numba(package):
