@@ -85,7 +85,7 @@ def figure_5(path: Path, seed: int) -> Rows:
     numbers = likelihood_numbers(truth.likelihood)
     scene = MapProblem(truth.graph, ADDRESSES, camera, depth, sigma=numbers["sigma"], blur=numbers["blur"],
                        background=numbers["background"])  # fmt: skip
-    starts = scene.random_starts(np.random.default_rng(seed), ASCENTS)
+    starts = np.random.default_rng(seed).uniform(*scene.domain[:2], (ASCENTS, len(ADDRESSES)))
     steps = [scene.maximise(start, "gradient", iterations=30, step=STEP_LENGTH) for start in starts]
     newton = [scene.maximise(start, iterations=15, tolerance=1e-3) for start in starts]
     best = scene.maximise(scene.values, iterations=15, tolerance=1e-3).costs[-1]

@@ -378,13 +378,6 @@ class MapProblem:
         gradient, hessian = self._cost.equations(values)
         return -gradient, hessian
 
-    def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Return (count, P) starts, uniform over finite ranges; a number without one stays as the graph has it."""
-        low, length = self.domain.lower, self.domain.upper - self.domain.lower
-        drawn = rng.uniform(size=(count, len(self.addresses)))
-        finite = np.isfinite(low) & np.isfinite(length)
-        return np.where(finite, np.where(finite, low, 0) + np.where(finite, length, 0) * drawn, self.values)
-
     def maximise(
         self,
         start: np.ndarray,

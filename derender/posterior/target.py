@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.space import Block, Space, Unknown, wrap
+from derender.posterior.space import Block, Space, Unknown
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
 
@@ -91,11 +91,6 @@ def bases_of(graph: SceneGraph, relocations: Sequence[str], unknown: set[str]) -
     """Return the base of each object that may be put down anew, by its name."""
     names = [contact.removesuffix(".contact") for contact in relocations]
     return {name: base_of(graph, name, unknown) for name in names}
-
-
-def fold(angle: float, centre: float, period: float) -> float:
-    """Return the angle by whole periods into [centre - period / 2, centre + period / 2)."""
-    return wrap(angle - centre + 0.5 * period, period) + centre - 0.5 * period
 
 
 def theta_fold(graph: SceneGraph, unknown: Unknown) -> tuple[float, float]:
@@ -252,10 +247,6 @@ class SceneTarget:
             if address.startswith("likelihood.")
         }
         return self.images.log_likelihood(self.graph(values), parameters)
-
-    def placement_periods(self, name: str) -> tuple[float, ...]:
-        """Return the periods of the numbers of an object's placement, 0 of lengths."""
-        return self.folds[f"{name}.contact.theta"][1], 0.0, 0.0
 
 
 def default_parts() -> list[dict[str, Mapping[str, Any]]]:

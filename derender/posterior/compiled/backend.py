@@ -16,13 +16,13 @@ from derender.posterior.compiled.evaluate import load, sweep
 from derender.posterior.compiled.model import (
     Calls,
     NotCompiled,
+    Places,
     calls_of,
     chain_of,
     held,
     kernels_of,
     laws_of,
     model_of,
-    objects_below,
     places_seen,
     rescaled,
     taken_elsewhere,
@@ -79,9 +79,8 @@ class InterpretedBackend:
         if self._tuned is None or self._tuned[0] is not tuning:
             placing = [k for k, part in enumerate(self.parts) if kernels[part.type].form == PLACING]
             taken = [part._replace(weight=0.0) if k in placing else part for k, part in enumerate(self.parts)]
-            places = dict.fromkeys(placing, np.empty(0))
-            self._tuned = tuning, kernels_of(self.target.space, taken, tuning, frozenset(), places, self._calls,
-                                             lambda objects: np.zeros((len(objects), 4), np.int64))  # fmt: skip
+            places: Places = dict.fromkeys(placing, ((), np.empty(0)))
+            self._tuned = tuning, kernels_of(self.target.space, taken, tuning, frozenset(), places, self._calls)
         return self._tuned[1]
 
     def sweep(
@@ -175,7 +174,7 @@ class CompiledBackend:
         evaluator.load(self._first)
         self._blank = chain_of(target, cycle), evaluator
         self._calls = calls_of(target, parts, self.model, self._blank[0])
-        self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
+        self._programs: deque[tuple[Tuning, Kernels, Places]] = deque(maxlen=MOST_PROGRAMS)
         self._begin()
 
     def _begin(self) -> None:
@@ -231,8 +230,7 @@ class CompiledBackend:
         if places is None:
             chain = Chain(*(array.copy() for array in self._blank[0]))
             places = places_seen(self.target, self.parts, self.model, chain, tuning.places)
-        program = kernels_of(self.target.space, self.parts, tuning, self._elsewhere, places, self._calls,
-                             lambda objects: objects_below(self.target, objects))  # fmt: skip
+        program = kernels_of(self.target.space, self.parts, tuning, self._elsewhere, places, self._calls)
         self._programs.append((tuning, program, places))
         return program
 

@@ -242,6 +242,10 @@ def chain_of(target: Any, cycle: bool) -> Chain:
     )
 
 
+# Of each kernel that puts objects down, by its number: Kernels.members, and the mixture over places that were seen.
+Places = Mapping[int, tuple[Sequence[int], np.ndarray]]
+
+
 class Calls(NamedTuple):
     """What one kernel calls, by addresses in this process; 0: nothing."""
 
@@ -251,24 +255,18 @@ class Calls(NamedTuple):
     vertex: int = -1  # whose children it keeps, or -1
 
 
-def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: frozenset[int],
-               places: Mapping[int, np.ndarray], calls: Sequence[Calls],
-               below: Callable[[Sequence[str]], np.ndarray]) -> Kernels:  # fmt: skip
+def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: frozenset[int], places: Places,
+               calls: Sequence[Calls]) -> Kernels:  # fmt: skip
     """Return the mixture's arrays.
 
-    elsewhere : numbers of the kernels whose steps the sweep leaves to its caller. places : see `places_seen`. below :
-    see `objects_below`.
+    elsewhere : numbers of the kernels whose steps the sweep leaves to its caller. places : see `places_seen`.
     """
     table, numbers, members, factors = [], [], [], []
     weight = 0.0
     first = factor_first = 0
     for k, (part, call) in enumerate(zip(parts, calls, strict=True)):
         kind = kernels[part.type]
-        if kind.form == PLACING:
-            rows = below(part.block.objects)
-            told, factor = [*rows[0, 1:3], *rows[:, 0], *rows[:, 3]], places[k]
-        else:
-            told, factor = list(kind.members(space, part.block)), kind.factor(space, part, tuning)
+        told, factor = places[k] if k in places else (kind.members(space, part.block), kind.factor(space, part, tuning))
         weight += part.weight
         form = ELSEWHERE if k in elsewhere else kind.form
         table.append((form, first, factor_first, call.vertex, call.propose, call.keep, call.place))
@@ -318,10 +316,8 @@ def objects_below(target: "SceneTarget", objects: Sequence[str]) -> np.ndarray:
     return np.array(rows, np.int64)
 
 
-def places_seen(
-    target: "SceneTarget", parts: list[Part], model: Model, chain: Chain, archive: np.ndarray
-) -> dict[int, np.ndarray]:
-    """Return the flat mixtures over the places that objects have in (K, P) values, by the numbers of their kernels.
+def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> Places:
+    """Return the Places of the kernels that put objects down, from (K, P) values.
 
     chain : any of the model's; it is left at the last values.
     """
@@ -331,7 +327,11 @@ def places_seen(
     objects = sorted({name for names in chosen.values() for name in names})
     places = np.empty((len(objects), len(archive), 3))
     stand_all(model, chain, np.ascontiguousarray(archive, float), objects_below(target, objects).T.copy(), places)
-    return {k: mixture_of(target, names, dict(zip(objects, places, strict=True))).flat() for k, names in chosen.items()}
+    seen, found = dict(zip(objects, places, strict=True)), {}
+    for k, names in chosen.items():
+        rows = objects_below(target, names)
+        found[k] = [*rows[0, 1:3], *rows[:, 0], *rows[:, 3]], mixture_of(target, names, seen).flat()
+    return found
 
 
 def rescaled(space: Space, parts: list[Part], tuning: Tuning, program: Kernels) -> Kernels:

@@ -177,7 +177,7 @@ def seen_place(rng, places, periods, old, new):
 
 def mixture_of(target: "SceneTarget", objects: tuple[str, ...], places: Mapping[str, np.ndarray]) -> PlaceMixture:
     """Return the mixture over the places of one or several objects, given (K, d) places of each by name."""
-    periods = [period for name in objects for period in target.placement_periods(name)]
+    periods = [period for name in objects for period in (target.folds[f"{name}.contact.theta"][1], 0.0, 0.0)]
     return fitted(np.concatenate([places[name] for name in objects], axis=1), tuple(periods))
 
 
