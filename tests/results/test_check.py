@@ -61,6 +61,9 @@ def test_windows_that_noise_does_not_explain_are_told():
     )
     assert doubt.serious and doubt.words.startswith("what is seen right of the middle is not where this scene has it")
     assert doubt.regions[0].mask.sum() == 12 * 8 and doubt.regions[0].mask[48:60, 120:128].all()
+    seen[:48] = 3.0  # a room behind
+    fit = fit_of(TRUE, CAMERA, seen, LIKELIHOOD, seen)
+    assert check_fit(TRUE, fit, CAMERA, seen, LIKELIHOOD, [[0.1, 0.2, 0.75, 0.8]]) == ()
 
 
 def test_a_solid_that_is_not_there_is_told():
