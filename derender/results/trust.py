@@ -129,7 +129,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     slightly = [row for row in rows if doubtful(row) and left_open(posterior, row) < posterior.meta.get("faces", 0.0)]
     if slightly:
         row = max(slightly, key=lambda row: left_open(posterior, row))
-        known = f"which is known to {1000 * left_open(posterior, row):.1f} mm all the same"
+        known = f"which is told to {1000 * left_open(posterior, row):.1f} mm all the same"
         notes = [Doubt(f"the chains disagree about {row['address']}, {known}", False)]
         rows = [row for row in rows if not any(row is other for other in slightly)]
     worst, least = worst_of(rows)
@@ -143,11 +143,11 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
 
 
 def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
-    """Return by how many metres, one standard deviation of all chains, what is open of a number moves its object.
+    """Return by how many metres, one standard error, more draws would move an object in what is told of a number.
 
     A length by itself, an angle at half the object's diagonal, a number of a quaternion, which is half an angle, at all
-    of it; inf for any other number. Real faces are off by the `faces` of a posterior's `meta`: chains that disagree
-    about less tell the same.
+    of it; inf for any other number. Real faces are off by the `faces` of a posterior's `meta`: chains that leave less
+    open tell the same.
     """
     name = row["address"].partition(".")[0]
     graph = posterior.best_part.graph
@@ -155,7 +155,8 @@ def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
     wide = 0.0 if size is None else float(np.linalg.norm(size))
     moves = {"mm": 1.0, "°": 0.5 * wide, **dict.fromkeys(("qw", "qx", "qy", "qz"), wide)}
     factor = moves.get(row["unit"] or row["address"].rpartition(".")[2])
-    return np.inf if size is None or factor is None else float(row["draws"].std() * factor)
+    independent = max(row["ess_bulk"], 1.0) if np.isfinite(row["ess_bulk"]) else 1.0
+    return np.inf if size is None or factor is None else float(row["draws"].std() / np.sqrt(independent) * factor)
 
 
 def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:
