@@ -91,7 +91,7 @@ def report_of(
         spots = () if posterior is None else posterior.meta.get("spots", ())
         doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots))
     if posterior is not None:
-        posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})
+        posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)
     method = "map" if posterior is not None and posterior.meta.get("method") == "map" else ""
     return Report(

@@ -15,11 +15,12 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
         to what may have a second support.
 
     Returns {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
-    (results/trust.py) `explained`, `trusted` and `doubts`; of an object, `size` is the three full extents along its own
-    axes in metres, None for what has none; `size_interval` their 90 % intervals, likewise; `pose` is 4x4 row-major,
-    object to camera; `supports`, where there, names what it rests on besides its parent.
+    (results/trust.py) `explained`, `trusted` and `doubts`, and `trusted` of each object; of an object, `size` is the
+    three full extents along its own axes in metres, None for what has none; `size_interval` their 90 % intervals,
+    likewise; `pose` is 4x4 row-major, object to camera; `supports`, where there, names what it rests on besides its
+    parent.
     """
-    poses = graph.poses()
+    poses, meta = graph.poses(), {} if posterior is None else posterior.meta
     intervals = size_intervals(posterior) if posterior is not None else {}
     objects = []
     for vertex in graph.vertices:
@@ -48,8 +49,9 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
             entry["parent_probability"] = {name: float(share) for name, share in parents.items()}
             if supports := posterior.support_probability(vertex.name):
                 entry["support_probability"] = {name: float(share) for name, share in supports.items()}
+        if "in_doubt" in meta:
+            entry["trusted"] = vertex.name not in meta["in_doubt"]
         objects.append(entry)
-    meta = {} if posterior is None else posterior.meta
     judged = {key: meta[key] for key in ("explained", "trusted", "doubts") if key in meta}
     return {"frame": "camera", "gravity": graph.pull().tolist(), "objects": objects, **judged}
 

@@ -87,6 +87,7 @@ def _largest(design: np.ndarray, numbers: np.ndarray, limit: np.ndarray, triples
 
 # Unexplained regions.  What is nowhere as wide as a few pixels is a silhouette's fault.
 THIN = 320  # columns of the image for each pixel that a thing may be thin and yet count
+BESIDE = 2  # times that many pixels from a region what it touches may begin: silhouettes are off by one or two
 LEAST_SHARE = 0.001  # of the valid pixels that a region must have to be told
 MOST_IN_ALL = 0.04  # share of the valid pixels that may be unexplained
 MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
@@ -128,9 +129,9 @@ def check_fit(
         return ()
     solids = solids_shown(graph, fit, valid)
     doubts = [
-        *unexplained(fit, valid),
-        *off_by_more_than_noise(spots, fit, valid),
-        *background_over_floor(graph, fit, camera, observed),
+        *beside(graph, fit, unexplained(fit, valid)),
+        *beside(graph, fit, off_by_more_than_noise(spots, fit, valid)),
+        *beside(graph, fit, background_over_floor(graph, fit, camera, observed)),
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
@@ -142,18 +143,30 @@ def check_fit(
     return tuple(sorted(doubts, key=lambda doubt: not doubt.serious))
 
 
+def beside(graph: "SceneGraph", fit: Fit, doubts: list[Doubt]) -> list[Doubt]:
+    """Return doubts about regions with the objects that these touch, in doubt where it is serious: what lies elsewhere
+    may be missed, or clutter, and says nothing of these."""
+    from scipy.ndimage import binary_dilation
+
+    told = []
+    for doubt in doubts:
+        mask = np.any([region.mask for region in doubt.regions], axis=0) & doubt.serious
+        touched = np.unique(fit.label[binary_dilation(mask, np.ones((3, 3)), BESIDE * thin(mask))])
+        told.append(doubt._replace(about={graph.names[k - 1] for k in touched if k > 0}))
+    return told
+
+
 def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions that neither solids nor floor nor background explain."""
     left = valid & ~fit.explained & ~fit.background
     found = coherent(left, valid)
     if not found:
         return []
-    regions = found[:MOST_TOLD]
     total = float(left.sum() / valid.sum())
-    words = ", ".join(f"region {region.name} {region.where}" for region in regions)
+    words = ", ".join(f"region {region.name} {region.where}" for region in found[:MOST_TOLD])
     more = f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
     serious = total > MOST_IN_ALL or found[0].share > MOST_IN_ONE
-    return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, regions)]
+    return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, found)]
 
 
 def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np.ndarray) -> list[Doubt]:
@@ -174,12 +187,17 @@ def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np
     return [Doubt(words, True, tuple(regions))] if regions else []
 
 
+def thin(image: np.ndarray) -> int:
+    """Return how many pixels of an image (H, W) half as wide a thing is as the narrowest that counts."""
+    return max(1, round(image.shape[1] / THIN))
+
+
 def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
     """Return the Regions of a mask (H, W), the largest first, without what is thin or small; valid : (H, W) bool."""
     from scipy.ndimage import binary_opening
     from scipy.ndimage import label as label_regions
 
-    wide = 2 * max(1, round(mask.shape[1] / THIN)) + 1
+    wide = 2 * thin(mask) + 1
     label, count = label_regions(binary_opening(mask, np.ones((wide, wide))))
     sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
     order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
@@ -263,10 +281,10 @@ def unborne_solids(solids: list[Region], fit: Fit, valid: np.ndarray) -> list[Do
         fitting = float(fit.explained[region.mask & valid].mean()) if missing < 1.0 else 1.0
         if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
             words = f"nothing returned from {percent(missing)} of {region.name}, {region.where}"
-            doubts.append(Doubt(words, True, (region,)))
+            doubts.append(Doubt(words, True, (region,), (region.name,)))
         elif fitting < LEAST_FITTING:
             words = f"{region.name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
-            doubts.append(Doubt(words, True, (region,)))
+            doubts.append(Doubt(words, True, (region,), (region.name,)))
     return doubts
 
 
@@ -281,10 +299,10 @@ def at_the_border(solids: list[Region]) -> list[Doubt]:
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         if filled > FILLING:
             words = f"{region.name} fills {percent(filled)} of the image, so that little shows what it stands on"
-            doubts.append(Doubt(words, True, (region,)))
+            doubts.append(Doubt(words, True, (region,), (region.name,)))
         elif cut > CUT * (outline + cut):
             words = f"{region.name} is cut by the image's border: how big it is beyond is a guess"
-            doubts.append(Doubt(words, cut > MOST_CUT * (outline + cut), (region,)))
+            doubts.append(Doubt(words, cut > MOST_CUT * (outline + cut), (region,), (region.name,)))
     return doubts
 
 

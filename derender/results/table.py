@@ -16,11 +16,11 @@ SIDES = ("length", "width", "height")
 # frame : its name; status : done or failed; object, type : of a solid, empty where the frame shows none; length, width,
 # height : its full extents along its own x, y, z in metres, with the ends of their 90 % ranges; x, y, z : where its
 # middle is in camera axes, metres; qw, qx, qy, qz : its rotation, object to camera; turn : of its x about the vertical
-# against the camera's x, radians; rests_on : what it stands on; probability : that it is there; trusted, doubts :
-# whether the whole frame's result is to be trusted, and why not.
+# against the camera's x, radians; rests_on : what it stands on; probability : that it is there; object_trusted :
+# whether it is to be trusted; trusted, doubts : whether the whole frame's result is, and why not.
 COLUMNS = (
     "frame", "status", "object", "type", *(f"{side}{end}" for side in SIDES for end in ("", "_low", "_high")),
-    "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "trusted", "doubts",
+    "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "object_trusted", "trusted", "doubts",
 )  # fmt: skip
 
 
@@ -47,6 +47,7 @@ def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
         row |= dict(zip(("qw", "qx", "qy", "qz"), map(float, quaternion(pose[:3, :3])), strict=True))
         row["turn"] = turn_of(pose, scene["gravity"])
         row["rests_on"], row["probability"] = item["parent"], item.get("probability") if drawn else None
+        row["object_trusted"] = item.get("trusted", told["trusted"])
         rows.append({k: round(v, DIGITS) if isinstance(v, float) else v for k, v in row.items()})
     return rows or [_row(frame, "done") | told]
 

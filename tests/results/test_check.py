@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from on_floor import cube, on_floor
+from on_floor import cube, face, on_floor
 
 from derender.camera.intrinsics import Camera
+from derender.report.scene_json import scene_json
 from derender.results.check import check_fit
 from derender.results.fit import fit_of
-from derender.results.trust import judgement, trusted
-from derender.scene.graph import SceneGraph
+from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.trust import Doubt, judgement, trusted
+from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.pose import rotation_y, translation
 
 CAMERA = Camera.from_field_of_view(160, 120)
@@ -47,10 +49,27 @@ def test_a_right_scene_raises_no_doubt():
 
 def test_a_thing_that_was_missed_is_told_and_where():
     (doubt,) = doubts_of(TRUE.remove("right"), image(TRUE))
+    assert not doubt.about  # nothing touches it
     assert doubt.serious and "region A right of the middle" in doubt.words and "not explained" in doubt.words
     expected = fit_of(TRUE, CAMERA, image(TRUE), LIKELIHOOD).label == 3
     assert (doubt.regions[0].mask & expected).sum() > 0.8 * expected.sum()
-    assert judgement([doubt]) == {"trusted": False, "doubts": [doubt.words]}
+    assert judgement([doubt], TRUE) == {"trusted": False, "doubts": [doubt.words], "in_doubt": []}
+
+
+def test_what_a_doubt_is_about_is_in_doubt_and_what_stands_on_it():
+    """What is not explained apart from a solid says nothing of it; what touches it does."""
+    seen = image(scene(*TRUE.vertices[1:], cube("touching", -0.2, -0.11, theta=0.3)))
+    (doubt,) = doubts_of(TRUE, seen)
+    assert doubt.serious and set(doubt.about) == {"left"}
+    upon = Vertex("upon", "cube", {"side": 0.05}, "left", face(u=0.5, v=0.5, theta=0.0))
+    stacked = replace(TRUE, vertices=(*TRUE.vertices, upon))
+    assert judgement([doubt], stacked)["in_doubt"] == ["left", "upon"]
+    assert judgement([Doubt("of all")], stacked)["in_doubt"] == ["floor", "left", "right", "upon"]
+    assert judgement([Doubt("worth knowing", False)], stacked)["in_doubt"] == []
+    part = StructurePosterior(stacked, (), np.zeros((1, 1, 0)), np.zeros((1, 1)), np.zeros((1, 1)))
+    found = scene_json(stacked, Posterior((part,), meta=judgement([doubt], stacked)))
+    assert {each["name"]: each["trusted"] for each in found["objects"]} == {
+        "floor": True, "left": False, "right": True, "upon": False}  # fmt: skip
 
 
 def test_windows_that_noise_does_not_explain_are_told():

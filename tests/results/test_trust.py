@@ -62,6 +62,19 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
         assert not trusted(chain_doubts(seen_by_a_sensor(faces), rows))
 
 
+def test_chains_that_disagree_about_an_object_say_nothing_of_others():
+    values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
+    for address, about in (("box_1.width", {"box_1"}), ("likelihood.sigma", None)):
+        found = chain_doubts(seen_by_a_sensor(0.0), parameter_rows([address], values))
+        assert len(found) == 2 and all(doubt.serious and doubt.about == about for doubt in found)
+    doubtful_thing = seen_by_a_sensor(0.0)
+    doubtful_thing.best_part.values = np.zeros((1, 1, 0))
+    for known, told in ((0.55, [True]), (0.7, [False]), (0.8, [])):
+        doubtful_thing.meta["existence"] = {"box_1": (known, 0.1), "another": (0.6, 0.1)}
+        found = chain_doubts(doubtful_thing, [])
+        assert [doubt.serious for doubt in found] == told and all(doubt.about == ("box_1",) for doubt in found)
+
+
 def test_what_is_worth_knowing_comes_last_and_harms_nothing():
     rows = parameter_rows(["a.x"], np.random.default_rng(1).standard_normal((2, 200, 1)))
     doubts = (Doubt("A", False), Doubt("B"))

@@ -28,8 +28,8 @@ class Existence:
     """
 
     even: float = 27.0
-    steep: float = 3.0  # power with which the odds grow with the nats
-    most: float = 0.95  # the most that is said
+    steep: float = 1.0  # power with which the odds grow with the nats
+    most: float = 0.98  # the most that is said
     error: float = 0.05  # standard error of that
     error_at_even: float = 0.15  # at even odds
     outstanding: float = 0.5
