@@ -127,7 +127,6 @@ def check_fit(
     valid = np.isfinite(observed)
     if not valid.any():
         return ()
-    solids = solids_shown(graph, fit, valid)
     doubts = [
         *beside(graph, fit, unexplained(fit, valid)),
         *beside(graph, fit, off_by_more_than_noise(spots, fit, valid)),
@@ -135,9 +134,8 @@ def check_fit(
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
-        *wrong_focal_length(graph, fit, camera, observed),
-        *unborne_solids(solids, fit, valid),
-        *at_the_border(solids),
+        *wrong_focal_length(faces_of(graph, fit, camera, observed), camera),
+        *unborne_solids(graph, fit, valid),
         *nothing_but_a_plane(graph, fit, camera, observed),
     ]
     return tuple(sorted(doubts, key=lambda doubt: not doubt.serious))
@@ -225,23 +223,18 @@ def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observe
 
 
 def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
-    """Return doubts about whether the floor is one: it explains little beside the background, faces sideways, or is
-    looked at straight on from farther than cameras hang over floors, with much before it that is background."""
-    poses = graph.poses()
+    """Return doubts about whether the floor is one: it explains little beside the background, or may be a wall."""
+    poses, doubts = graph.poses(), []
     planes = [poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None]
     floor = float((valid & fit.explained & (fit.label == 0)).sum())
-    background = float(fit.background.sum())
-    doubts = []
-    if 0.0 < background and floor < LEAST_FLOOR * (floor + background):
+    share = floor / max(floor + float(fit.background.sum()), 1.0)
+    if fit.background.any() and share < LEAST_FLOOR:
         words = f"the floor explains {percent(floor / valid.sum())} of the image only, less than the background"
         doubts.append(Doubt(words))
-    if any(abs(pose[0, 2]) > SIDEWAYS for pose in planes):
-        doubts.append(Doubt("what was taken as the floor faces sideways in the image: it may be a wall, see --up"))
-    faced = any(-pose[2, 2] > FACED and abs(pose[:3, 2] @ pose[:3, 3]) > OVERHEAD for pose in planes)
-    if faced and floor < LEAST_FACED * (floor + background):
-        doubts.append(
-            Doubt("what was taken as the floor is looked at straight on from afar: it may be a wall, see --up")
-        )
+    faced = [share < LEAST_FACED and -p[2, 2] > FACED and abs(p[:3, 2] @ p[:3, 3]) > OVERHEAD for p in planes]
+    if any(faced) or any(abs(pose[0, 2]) > SIDEWAYS for pose in planes):
+        how = "is looked at straight on from afar" if any(faced) else "faces sideways in the image"
+        doubts.append(Doubt(f"what was taken as the floor {how}: it may be a wall, see --up"))
     return doubts
 
 
@@ -266,43 +259,35 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
     ]
 
 
-def solids_shown(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Region]:
-    """Return the Regions, by their names, of the solids that are predicted to show in FEW_PIXELS or more."""
-    masks = [(vertex.name, fit.label == place) for place, vertex in enumerate(graph.vertices, start=1)]
-    return [Region(name, mask, mask.sum() / valid.sum()) for name, mask in masks if mask.sum() >= FEW_PIXELS]
-
-
-def unborne_solids(solids: list[Region], fit: Fit, valid: np.ndarray) -> list[Doubt]:
-    """Return doubts about solids that are predicted where nothing returned, or something else is seen."""
-    doubts = []
-    elsewhere = float((~valid)[fit.label == 0].mean()) if (fit.label == 0).any() else 0.0
-    for region in solids:
-        missing = float((~valid)[region.mask].mean())
-        fitting = float(fit.explained[region.mask & valid].mean()) if missing < 1.0 else 1.0
-        if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
-            words = f"nothing returned from {percent(missing)} of {region.name}, {region.where}"
-            doubts.append(Doubt(words, True, (region,), (region.name,)))
-        elif fitting < LEAST_FITTING:
-            words = f"{region.name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
-            doubts.append(Doubt(words, True, (region,), (region.name,)))
-    return doubts
-
-
-def at_the_border(solids: list[Region]) -> list[Doubt]:
-    """Return doubts about solids that the image's border cuts, or that fill the image."""
+def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
+    """Return doubts about solids that are predicted where nothing returned, or something else is seen, that fill the
+    image, or that its border cuts: of those that are predicted to show in FEW_PIXELS or more."""
     from scipy.ndimage import binary_erosion
 
     doubts = []
-    for region in solids:
-        mask, filled = region.mask, float(region.mask.mean())
+    elsewhere = float((~valid)[fit.label == 0].mean()) if (fit.label == 0).any() else 0.0
+    for place, name in enumerate(graph.names, start=1):
+        mask = fit.label == place
+        if mask.sum() < FEW_PIXELS:
+            continue
+        region = Region(name, mask, mask.sum() / valid.sum())
+        missing, filled = float((~valid)[mask].mean()), float(mask.mean())
+        fitting = float(fit.explained[mask & valid].mean()) if missing < 1.0 else 1.0
         outline = int((mask & ~binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
+        share_cut = cut / max(outline + cut, 1)
+        told = []
+        if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
+            told.append((f"nothing returned from {percent(missing)} of {name}, {region.where}", True))
+        elif fitting < LEAST_FITTING:
+            words = f"{name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
+            told.append((words, True))
         if filled > FILLING:
-            words = f"{region.name} fills {percent(filled)} of the image, so that little shows what it stands on"
-            doubts.append(Doubt(words, True, (region,), (region.name,)))
-        elif cut > CUT * (outline + cut):
-            words = f"{region.name} is cut by the image's border: how big it is beyond is a guess"
-            doubts.append(Doubt(words, cut > MOST_CUT * (outline + cut), (region,), (region.name,)))
+            told.append((f"{name} fills {percent(filled)} of the image, so that little shows what it stands on", True))
+        elif share_cut > CUT:
+            words = f"{name} is cut by the image's border: how big it is beyond is a guess"
+            told.append((words, share_cut > MOST_CUT))
+        doubts += [Doubt(words, serious, (region,), (name,)) for words, serious in told]
     return doubts
 
 
@@ -352,22 +337,14 @@ class Face(NamedTuple):
     covariance: np.ndarray
 
 
-def wrong_focal_length(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
-    """Return a doubt where another focal length makes far more of the angles right that should be.
-
-    graph : the best scene. fit : of it to the depths `observed` (H, W) in metres that this camera saw.
-    """
-    return doubts_of(faces_of(graph, fit, camera, observed), camera)
-
-
-def doubts_of(found: list[Face], camera: Camera) -> list[Doubt]:
-    """Return the doubt that Faces raise about a camera, if any."""
-    if len(found) < 2:
+def wrong_focal_length(faces: list[Face], camera: Camera) -> list[Doubt]:
+    """Return a doubt where with another focal length far more of the angles between Faces are right ones."""
+    if len(faces) < 2:
         return []
     focal = np.sqrt(camera.fx * camera.fy)
     stretch = np.array([camera.fx / focal, camera.fy / focal, 1.0])  # of pixels that are not square
     faces = [face._replace(plane=face.plane * stretch, covariance=face.covariance * np.outer(stretch, stretch))
-             for face in found]  # fmt: skip
+             for face in faces]  # fmt: skip
     all_pairs, own = misfit(faces, focal * SCALES)
     given, place = len(SCALES) // 2, int(np.argmin(all_pairs))
     best = float(SCALES[place])
@@ -383,6 +360,8 @@ def doubts_of(found: list[Face], camera: Camera) -> list[Doubt]:
 
 def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:
     """Return the Faces of the floor and of boxes that the image (H, W) shows, told apart by the best scene."""
+    from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
+
     named = {vertex.name: place for place, vertex in enumerate(graph.vertices, start=1) if vertex.shape in BOXES}
     poses = graph.poses()
     points = camera.points(fit.predicted)
@@ -392,19 +371,12 @@ def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray
         local = (points[mask] - poses[name][:3, 3]) @ poses[name][:3, :3] / np.array(graph.vertex(name).body.size())
         axis = np.argmax(np.abs(local), axis=1)
         key[mask] = 6 * place + 2 * axis + (np.take_along_axis(local, axis[:, None], axis=1)[:, 0] > 0.0)
-    inner = np.zeros(key.shape, bool)
-    middle = key[1:-1, 1:-1]
-    about = (key[:-2, 1:-1], key[2:, 1:-1], key[1:-1, :-2], key[1:-1, 2:])
-    inner[1:-1, 1:-1] = np.all([middle == side for side in about], axis=0)
-    inner &= np.isfinite(observed) & (key >= 0)
-    rows, columns = np.nonzero(inner)
-    numbers = key[rows, columns]
-    if len(numbers) == 0:
-        return []
-    order = np.argsort(numbers, kind="stable")
-    each, first = np.unique(numbers[order], return_index=True)
-    found = []
-    for number, of_face in zip(each, np.split(order, first[1:]), strict=True):
+    cross = generate_binary_structure(2, 1)
+    alike = minimum_filter(key, footprint=cross) == maximum_filter(key, footprint=cross)
+    rows, columns = np.nonzero(alike & np.isfinite(observed) & (key >= 0))
+    numbers, found = key[rows, columns], []
+    for number in np.unique(numbers):
+        of_face = np.flatnonzero(numbers == number)
         some = of_face[:: -(-len(of_face) // MOST_PIXELS)]
         across, down = columns[some] - camera.cx, rows[some] - camera.cy
         found.append(fitted(int(number) // 6, across, down, observed[rows[some], columns[some]]))

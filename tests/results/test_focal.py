@@ -9,7 +9,7 @@ from on_floor import on_floor
 from derender.camera.intrinsics import Camera
 from derender.interface.functions import infer
 from derender.render.raycast.depth import render_depth
-from derender.results.check import doubts_of, faces_of
+from derender.results.check import faces_of, wrong_focal_length
 from derender.results.fit import fit_of
 from derender.scene.graph import Contact, Vertex
 
@@ -35,7 +35,7 @@ def words_of(graph, observed, wrong):
     """Return what is said where the camera's focal length is `wrong` times the true one."""
     taken = replace(CAMERA, fx=wrong * CAMERA.fx, fy=wrong * CAMERA.fy)
     faces = faces_of(graph, fit_of(graph, CAMERA, observed, {}), CAMERA, observed)
-    return [doubt.words for doubt in doubts_of(faces, taken)]
+    return [doubt.words for doubt in wrong_focal_length(faces, taken)]
 
 
 @pytest.mark.parametrize("turns", [(30,), (30, 30), (10, 55), (0, 20, 70)])
@@ -59,8 +59,8 @@ def test_pixels_that_are_not_square_are_heeded():
     wide = replace(CAMERA, fx=2.0 * CAMERA.fx, cx=2.0 * CAMERA.cx, width=2 * CAMERA.width)
     observed = np.repeat(observed, 2, axis=1)
     faces = faces_of(graph, fit_of(graph, wide, observed, {}), wide, observed)
-    assert doubts_of(faces, wide) == []
-    assert doubts_of(faces, replace(wide, fx=1.3 * wide.fx, fy=1.3 * wide.fy))
+    assert wrong_focal_length(faces, wide) == []
+    assert wrong_focal_length(faces, replace(wide, fx=1.3 * wide.fx, fy=1.3 * wide.fy))
 
 
 @pytest.mark.slow
