@@ -18,7 +18,6 @@ from derender.archive import read_archive, write_archive
 from derender.document import document_from, document_text
 from derender.errors import DerenderError
 from derender.results.fit import Explanation
-from derender.sampling import diagnostics
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.graph import SceneGraph, Vertex
 
@@ -60,10 +59,6 @@ class StructurePosterior:
         """(chains, draws), log prior plus log likelihood."""
         return self.log_prior + self.log_likelihood
 
-    def period(self, index: int) -> float | None:
-        """Return the period of one unknown, or None."""
-        return self.periods[index] if self.periods else None
-
     def graph_at(self, chain: int, draw: int) -> SceneGraph:
         """Return the scene of one draw."""
         numbers = {
@@ -103,13 +98,6 @@ class StructurePosterior:
             ends = max(weight - wider[0], 0.0), min(weight + wider[1], 1.0)
         own = math.hypot(share * self.weight_error, error * self.weight)
         return replace(self, weight=weight, weight_error=own, weight_interval=ends)
-
-    def summary(self) -> dict[str, dict[str, float]]:
-        """Return the diagnostics' summary of each unknown, by address."""
-        return {
-            address: diagnostics.summary(self.values[:, :, i], self.period(i))
-            for i, address in enumerate(self.addresses)
-        }
 
 
 @dataclass(frozen=True, repr=False)

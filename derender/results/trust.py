@@ -129,9 +129,8 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
         return (*map(Doubt, doubts), *told)
-    largest, smallest = limits(chains * draws)
     over, shares = structures.get("r_hat"), structures.get("shares", [0.0])
-    if over is not None and over > largest:
+    if over is not None and over > limits(chains * draws)[0]:
         doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")
     elif max(shares) - min(shares) > SHARES_APART:
         spread = f"{min(shares):.2f} in one, {max(shares):.2f} in another"
@@ -142,16 +141,14 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         known = f"which is told to {1000 * left_open(posterior, row):.1f} mm all the same"
         told.append(Doubt(f"the chains disagree about {row['address']}, {known}", False))
         rows = [row for row in rows if not any(row is other for other in slightly)]
-    (worst, least), words = worst_of(rows), []
-    if worst and worst["r_hat"] > largest:
-        words.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
-    if least and least["ess_bulk"] < smallest:
-        words.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
-    if words:
-        words[-1] += f"; --draws {enough_draws(rows)} would do"
-        names = {row["address"].partition(".")[0] for row in rows if doubtful(row)}
+    bad = [row for row in rows if doubtful(row)]
+    if bad:
+        row = max(bad, key=lambda row: np.nan_to_num(row["r_hat"]))
+        words = f"the chains disagree: R-hat of {row['address']} is {row['r_hat']:.3f}"
+        draws_told = f"{row['ess_bulk']:.0f} effective draws; --draws {enough_draws(rows)} would do"
+        names = {row["address"].partition(".")[0] for row in bad}
         own = names if names <= set(posterior.best_part.graph.names) else None  # else of the root or the likelihood
-        told += [Doubt(each, about=own) for each in words]
+        told.append(Doubt(f"{words}, {draws_told}", about=own))
     return (*map(Doubt, doubts), *told)
 
 

@@ -65,8 +65,8 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
 def test_chains_that_disagree_about_an_object_say_nothing_of_others():
     values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
     for address, about in (("box_1.width", {"box_1"}), ("likelihood.sigma", None)):
-        found = chain_doubts(seen_by_a_sensor(0.0), parameter_rows([address], values))
-        assert len(found) == 2 and all(doubt.serious and doubt.about == about for doubt in found)
+        (doubt,) = chain_doubts(seen_by_a_sensor(0.0), parameter_rows([address], values))
+        assert doubt.serious and doubt.about == about and "effective draws; --draws" in doubt.words
     doubtful_thing = seen_by_a_sensor(0.0)
     doubtful_thing.best_part.values = np.zeros((1, 1, 0))
     for known, told in ((0.55, [True]), (0.7, [False]), (0.8, [])):
