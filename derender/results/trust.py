@@ -117,6 +117,8 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         for name, (known, _) in posterior.meta.get("existence", {}).items()
         if known < SURE_EXISTENCE and name in posterior.best_part.graph.names
     ]  # fmt: skip
+    told += [Doubt(f"{name} touches nothing: what bears it was not found", about=(name,))
+             for name in posterior.meta.get("hanging", ())]  # fmt: skip
     if posterior.meta.get("interrupted"):
         doubts.append("it was interrupted: this is the best so far")
     for view in posterior.meta.get("views", ()):

@@ -20,7 +20,7 @@ from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.results.fit import Explanation
-from derender.scene.graph import SceneGraph
+from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import BareImagePrior, Missed
 from derender.structures.options import Frame, Options
@@ -247,7 +247,9 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     if case.library:  # of whose answers no spots are counted
         extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}
     missed = missed_by(observations, extras, believed, told.share(case.depth))
-    meta.update(missed=missed, wrong_if_missed=believed.wrong)
+    hanging = [vertex.name for vertex in graph.vertices if vertex.parent == ROOT and vertex.body.size() is not None]
+    stands = not case.settings.may_float and any(vertex.body.size() is None for vertex in graph.vertices)
+    meta.update(missed=missed, wrong_if_missed=believed.wrong, hanging=hanging if stands else [])
     return replace(
         posterior, parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in parts), explanation=told
     )

@@ -75,6 +75,15 @@ def test_chains_that_disagree_about_an_object_say_nothing_of_others():
         assert [doubt.serious for doubt in found] == told and all(doubt.about == ("box_1",) for doubt in found)
 
 
+def test_what_touches_nothing_is_doubted():
+    """A quick search had a box hang in the air, whose bearer another hid, and was trusted on its fit."""
+    posterior = seen_by_a_sensor(0.0)
+    posterior.best_part.values = np.zeros((1, 1, 0))
+    posterior.meta["hanging"] = ["box_1"]
+    (doubt,) = chain_doubts(posterior, [])
+    assert doubt.serious and doubt.about == ("box_1",) and "touches nothing" in doubt.words
+
+
 def test_what_is_worth_knowing_comes_last_and_harms_nothing():
     rows = parameter_rows(["a.x"], np.random.default_rng(1).standard_normal((2, 200, 1)))
     doubts = (Doubt("A", False), Doubt("B"))
