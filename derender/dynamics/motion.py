@@ -16,8 +16,9 @@ MOVED_RADIANS = 0.12
 # What something that moves comes this near to, metres, may have been struck, however little it moved: it moves too, and
 # where it stands is as uncertain as tracking says.
 STRUCK_WITHIN = 0.005
-# Of two poses that are nearer than this (metres, and entries of the rotation), the second is the first one held.
-REPEATED = 1e-9
+# Of two poses that are nearer than this (metres, and entries of the rotation), the second is the first one held: what
+# rests has one pose, from which it may have moved by so many metres as tracking does not tell from its jitter.
+REPEATED, HELD_WITHIN = 1e-9, 0.001
 
 
 class Motion(NamedTuple):

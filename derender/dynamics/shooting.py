@@ -15,7 +15,7 @@ from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
-from derender.dynamics.motion import Motion
+from derender.dynamics.motion import HELD_WITHIN, Motion
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.states import CHANGE, FREE, difference, flush, moved, plane_under, ways_of
 
@@ -290,7 +290,7 @@ class Shooting(Impacts):
                     reached[frame] = 0.0
             reached[self.is_cut[:, k]] = 0.0
             shown = np.flatnonzero(self.seen[:, k])
-            model = reached[shown] @ reached[shown].T
+            model = reached[shown] @ reached[shown].T + np.diag(self.motion.held[shown, k] * HELD_WITHIN**2)
             for frame, *pair, _ in self.blows:  # it may have begun before the frame that shows it, by what that takes
                 model += np.diag((shown == frame - 1) * (k in pair) * (STRUCK / 2) ** 2)
             covariance = np.zeros((len(shown), 6, len(shown), 6))

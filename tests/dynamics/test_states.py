@@ -3,7 +3,7 @@
 import numpy as np
 
 from derender.dynamics.engine import Engine, Scales
-from derender.dynamics.motion import motion_of
+from derender.dynamics.motion import HELD_WITHIN, motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.shooting import Shooting
 from derender.dynamics.states import flush, from_poses, moved, plane_under, to_poses, ways_of
@@ -88,3 +88,5 @@ def test_a_held_pose_counts_twice_and_not_once_a_frame():
     covariance = (factor @ factor.T).reshape(5, 6, 5, 6)
     np.testing.assert_allclose(covariance[0, :, 0], np.diag(np.repeat([4e-6, 9e-6], 3)))  # nothing has happened yet
     assert np.abs(covariance[0, :, 1:]).max() == 0.0  # poses of two frames err independently
+    # a box that was struck and is held where it was has moved by less than a millimetre, and not by nothing
+    assert covariance[4, 0, 4, 0] > HELD_WITHIN**2
