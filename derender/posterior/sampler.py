@@ -354,13 +354,6 @@ MOST_STAGES = 6
 COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first level's, others', and from each hotter level
 
 
-class Found(NamedTuple):
-    """What pilots found."""
-
-    places: np.ndarray  # (n, P), typical ones
-    tuning: Tuning  # fitted to them
-
-
 class Climb(NamedTuple):
     """One chain's stage."""
 
@@ -371,8 +364,8 @@ class Climb(NamedTuple):
 
 
 def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, seed: int, jobs: int, thin: int,
-                population: int, particles: int) -> Found | None:  # fmt: skip
-    """Return what pilots found, or None where nothing possible was.
+                population: int, particles: int) -> tuple[np.ndarray, Tuning] | None:  # fmt: skip
+    """Return typical places (n, P) that pilots found and the Tuning fitted to them; None where nothing possible was.
 
     backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only.
     thin : steps in a round. population, particles : of each start, see `smc.tempered`.
@@ -411,7 +404,7 @@ def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, se
         stage, former, density = stage + 1, density, float(np.mean([one.density for one in climbs]))
         rising = density > former + RISE
     backends[0].program(levels[0])
-    return Found(pools[0], levels[0])
+    return pools[0], levels[0]
 
 
 def climb(
