@@ -212,23 +212,33 @@ def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
 
 
 def reached_down(best: Refined, i: int) -> list[State]:
-    """Return the state in which a tilted box that none of its contacts holds goes on to the floor, behind what hides
-    its lower end, as thick as it is; none where they hold it."""
+    """Return the state in which a tilted box whose lower end may hide stands on the floor with it, as thick as it is.
+
+    None where it does so already, or where what it rests on high above the floor holds it.
+    """
     state, row = best.state, best.state.rows[i]
-    if int(row[0]) != BOX or state.forms[i] != FREE or lowest(row) < REACH or is_held(state, i):
+    low, on_floor = lowest(row), state.parents[i] == FLOOR
+    if int(row[0]) != BOX or state.forms[i] != FREE or (on_floor if low < REACH else is_held(state, i)):
         return []
     up = rotation_of(row)[2]
     steep = np.where(np.arange(3) == np.argmin(row[13:16]), 0.0, np.abs(up))
     axis, new = int(np.argmax(steep)), row.copy()
-    more = lowest(row) / abs(up[axis])
+    more = low / abs(up[axis])
     new[13 + axis] += more
     new[10:13] -= 0.5 * more * np.sign(up[axis]) * rotation_of(row)[:, axis]
     return [state.changed(i, row=new, cube=False, parent=FLOOR, bottom=np.nan)]
 
 
 def is_held(state: State, i: int) -> bool:
-    """Whether forces where solid `i` touches others can hold it, friction helping."""
-    return bool(shares_of_load(state.rows, i, REACH))
+    """Whether forces where solid `i` touches others can hold it, friction helping.
+
+    The floor is among them only where it is its parent: one on another solid that may reach down to the floor, or may
+    not, is held by that or hangs. That both hold it is the structure in which it stands on the floor.
+    """
+    rows = state.rows.copy()
+    if state.parents[i] != FLOOR:
+        rows[:, 12] += max(2.0 * REACH - lowest(rows[i]), 0.0)  # clear of the floor
+    return bool(shares_of_load(rows, i, REACH))
 
 
 def tipping_of(refined: Refined) -> float:

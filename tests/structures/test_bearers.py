@@ -8,6 +8,7 @@ import pytest
 
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import make_row
+from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.distributions import distributions
@@ -69,11 +70,23 @@ def test_a_board_that_nothing_holds_goes_on_to_the_floor():
     assert costs == [4.6, 0.0]
 
 
+def test_a_board_on_a_block_may_stand_on_the_floor_as_well():
+    """Of 7303 at seed 7 it ended 4 mm over the floor: it was said to lie on the block at .995, nothing else weighed."""
+    hung = leaning(0.06)
+    hung.rows[1, 13] -= 0.005
+    hung.rows[1, 10:13] += 0.0025 * hung.rows[1, 1:10].reshape(3, 3)[:, 0]
+    hung.parents[1] = 0
+    (found,) = reached_down(SimpleNamespace(state=hung), 1)
+    assert found.parents[1] == FLOOR and lowest(found.rows[1]) == pytest.approx(0.0, abs=1e-6)
+    chart = SimpleNamespace(tipping=4.6)  # nor does the floor hold the one on the block, which would slip off it
+    assert [tipping_of(SimpleNamespace(state=state, chart=chart)) for state in (hung, found)] == [4.6, 0.0]
+
+
 def test_a_board_whose_foot_hides_is_not_surely_on_the_block():
     """Of 7303 106 pixels show the upper end: said to lie on the block's edge at .88, and nothing else was weighed.
 
-    Seeds say .57 to .69 of the floor (the true one), two of ten nothing: how much is not asked here.
+    Seeds say .57 to .71 of the floor, the true one: how much is not asked here.
     """
     seen = make(np.random.default_rng([7303, list(KINDS).index("boards")]), "boards")
-    found = infer_structure(seen.depth, seen.camera, Options(seed=1))
+    found = infer_structure(seen.depth, seen.camera, Options(seed=7))
     assert found.parent_probability("box_2").get("floor", 0.0) > 0.01
