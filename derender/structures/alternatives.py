@@ -55,7 +55,8 @@ WORTHWHILE = 1.0  # nats that this has to gain for the solids to be climbed agai
 PROPPING = 200.0  # nats below the best at which what hangs in the air is not given a support: that costs some too
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
-AGAIN = 2  # climbs of a changed solid that is not pruned
+DOUBTFUL = 300.0  # nats below it up to which one climb does not show that a change is to be pruned
+AGAIN = 2  # climbs more of what is that doubtful, and of a changed solid that is not pruned
 QUICK, MOST_PATIENT = 50, 4.0  # steps of each temperature for one changed solid, and times as many at most
 # Structures, the likeliest if no change told anything of another, and solids, those most likely other than in the best:
 # with twenty that are open there are more combinations than can be counted.
@@ -115,8 +116,15 @@ def tried(rng: np.random.Generator, best: Refined, state: State, places: list[in
           least: float = PRUNE_THRESHOLD) -> Refined | None:  # fmt: skip
     """Return the Refined of a state in which some solids, at `places`, are climbed, the others as in the best, under
     the sensor that it suggests itself where it is promising; None where it is more than `least` nats below the best.
+
+    Of 449 structures in 50 images of 64 columns 36 came out otherwise from one of three climbs: some 2 nats below the
+    best, or 70. What was pruned so was never weighed, and the best surer than it is. Not where neighbouring pixels
+    share noise: a climb takes five times as long there.
     """
-    trial = at_mode(rng, state, floor_pose_of(best), best.sensor, rules, steps, places)
+    climb = partial(at_mode, rng, state, floor_pose_of(best), best.sensor, rules, steps, places)
+    trial = climb()
+    if best.sensor.worth >= 1.0 and height(best) - DOUBTFUL < height(trial) < height(best) - least:
+        trial = max([trial, *(climb() for _ in range(AGAIN))], key=height)
     if height(trial) > height(best) - max(PROMISING, least):
         trial = with_own_sensor(rng, trial, places, WORTHWHILE)
     return trial if height(trial) > height(best) - least else None

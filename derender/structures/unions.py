@@ -18,7 +18,7 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, with_bottom
 from derender.scene.solids import BOX, SPHERE
-from derender.structures.alternatives import QUICK, climbed, tried, weighed_whole
+from derender.structures.alternatives import DOUBTFUL, QUICK, climbed, tried, weighed_whole
 from derender.structures.changes import LEAST_TALL
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, floor_pose_of
@@ -28,7 +28,6 @@ from derender.structures.weighing import Block, Weighed, of_block
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 BESIDE = 0.02  # metres between a low box and what stands behind it that may stand on it
 UNDER = 0.5  # share of the extents of what is put on a box that the box reaches under
-DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
 THOROUGH = 600  # for each solid where two are cut anew: all edges about them may be a little off
 FLUSH_ENOUGH = 150.0  # nats by which the image of a pair of boxes may change when it is cut anew, before any climb
 

@@ -20,7 +20,7 @@ from derender.render.likelihoods import likelihoods
 from derender.sampling.evidence import Evidence
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures import weighing
+from derender.structures import alternatives, weighing
 from derender.structures.alternatives import QUICK, from_search, of_one_solid, weighed_whole
 from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
 from derender.structures.draws.metropolis import log_evidence, sample
@@ -79,6 +79,19 @@ def test_a_solid_is_taken_away_by_the_integral_over_its_coordinates():
     assert sorted(each.places is None for each in both) == [False, True], "with the rest as it is, and with all free"
     for removed in both:
         assert abs(removed.odds - whole_odds(removed.trial, best)) < WITHIN
+
+
+@pytest.mark.parametrize("first, kept", [(80.0, True), (5000.0, False)])
+def test_a_change_whose_first_climb_ended_beside_its_mode_is_climbed_again(monkeypatch, first, kept):
+    """One that ended 88 nats below the best was pruned, and 4 below it where others ended: the truth was among such."""
+    best, below = small_beside_large(), [first, 3.0, 90.0]
+
+    def climb(*given):
+        return best._replace(log_likelihood=best.log_likelihood - below.pop(0))
+
+    monkeypatch.setattr(alternatives, "at_mode", climb)
+    found = alternatives.tried(np.random.default_rng(8), best, best.state, [1], RULES)
+    assert (found is not None) == kept and len(below) == (0 if kept else 2)  # what is hopeless costs one climb
 
 
 def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypatch):
