@@ -24,7 +24,7 @@ from derender.structures import alternatives, weighing
 from derender.structures.alternatives import QUICK, from_search, of_one_solid, weighed_whole
 from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
 from derender.structures.draws.metropolis import log_evidence, sample
-from derender.structures.draws.refined import at_mode
+from derender.structures.draws.refined import at_mode, near_evidence
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.unions import merged
 from derender.structures.weighing import NEAR_ERROR, evidence_over
@@ -108,6 +108,15 @@ def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypa
     monkeypatch.setattr(weighing, "evidence_over", failed)
     (kept,) = weighed_whole(rng, best, [fewer], RULES, QUICK)
     assert abs(kept.odds - fair.odds) < 2.0 * NEAR_ERROR and kept.error == NEAR_ERROR
+
+
+def test_an_integral_over_everything_has_what_a_normal_misses_of_each_solid():
+    """Three integrals over all of both structures, of errors of .06, say -4.4 to -4.3; two normals alone say -6.0."""
+    best = mode_of(0.01, (-0.08, 0.0, (0.06,) * 3, True), (0.09, 0.03, (0.06,) * 3, True))
+    trial = at_mode(np.random.default_rng(3), best.state.changed(0, cube=False), best.chart.floor, best.sensor, RULES)
+    found, own = (evidence_over(np.random.default_rng(1), each)[0] for each in (trial, best))
+    assert found.log - own.log == pytest.approx(-4.35, abs=1.0)
+    assert near_evidence(trial) - near_evidence(best) == pytest.approx(-6.0, abs=0.2)
 
 
 def test_an_integral_that_is_sure_is_what_is_told(monkeypatch):
