@@ -5,7 +5,7 @@ import numpy as np
 from derender.document import document_from
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.structures.jumps.base import evaluate
-from derender.structures.jumps.chain import Draws, walk
+from derender.structures.jumps.run import Draws, walk
 
 # Shapes of every kind, standing and lying, on a floor and on each other; sizes free, one known.
 GRAMMAR = """

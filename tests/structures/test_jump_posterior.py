@@ -14,8 +14,8 @@ from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.pose import rotation_x, translation
 from derender.structures.infer import infer_structure
 from derender.structures.jumps.base import State, Target, Vocabulary
-from derender.structures.jumps.chain import Draws, called, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
+from derender.structures.jumps.run import Draws, called, posterior_of
 from derender.structures.options import Options
 from worlds.made_scenes import render_floor_scene
 

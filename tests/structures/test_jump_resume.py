@@ -11,7 +11,7 @@ from test_jump_posterior import CAMERA, VALUES, observed
 
 from derender.errors import DerenderError
 from derender.sampling.chains import Plan, run_chain, run_chains
-from derender.structures.jumps.chain import JumpSampler
+from derender.structures.jumps.run import JumpSampler
 
 
 def plan(**settings):

@@ -18,7 +18,7 @@ from test_jump_posterior import CAMERA, TINY, VALUES, key_of, likelihood_of
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.graph import Vertex
 from derender.structures.jumps.base import BirthDeath, Target, Vocabulary, evaluate
-from derender.structures.jumps.chain import walk
+from derender.structures.jumps.run import walk
 
 STATES = 15  # of a chain besides the truth
 SEVERE = 4.5  # standard errors that pass; the twins are to fail by more
