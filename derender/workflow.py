@@ -289,6 +289,7 @@ def _given(
     from derender.posterior.sampler import read_settings
     from derender.structures.given import infer_scene
 
+    precompile("engine")
     import_in_background(*WRITERS)
     said: dict[str, Any] = {"chains": options.chains, "draws": options.draws, "warmup": options.warmup}
     settings = read_settings(document.inference)._replace(**{k: v for k, v in said.items() if v is not None})
@@ -311,7 +312,7 @@ def _bare(
     from derender.structures.infer import infer_structure
     from derender.structures.known.library import read_library
 
-    precompile()
+    precompile("draws")
     rng, told = np.random.default_rng(options.seed), _importing(progress)
     if options.known is not None and isinstance(options.known, str | Path):
         options = replace(options, known=read_library(options.known))

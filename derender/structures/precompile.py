@@ -1,8 +1,9 @@
 """Kernels compiled by a second process while the first one compiles others: half the wait at the first use.
 
-A command that infers a bare image needs late what draws from the posterior. If it comes to compile anything, a process
-starts that compiles that, on a scene of a few pixels; the kernels reach the command through the cache
-(compilation/cache.py), which lets no two processes compile the same one.
+A command that infers a bare image needs late what draws from the posterior; one that infers a given scene needs the
+engine after what moves the objects. If it comes to compile anything, a process starts that compiles that, on a scene of
+a few pixels; the kernels reach the command through the cache (compilation/cache.py), which lets no two processes
+compile the same one.
 """
 
 import functools
@@ -16,15 +17,15 @@ from derender.compilation.cache import helpers
 WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compiled for
 
 
-def precompile() -> None:
-    """Have what draws compiled beside this process, should it compile anything; with one processor, not."""
+def precompile(part: str) -> None:
+    """Have one of PARTS compiled beside this process, should it compile anything; with one processor, not."""
     if len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1:
-        helpers.append(_start)
+        helpers.append(functools.partial(_start, part))
 
 
 @functools.cache  # it keeps the pipe to the other process open as long as this one lives
-def _start() -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, "-P", "-m", "derender.structures.precompile"], stdin=subprocess.PIPE,
+def _start(part: str) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, "-P", "-m", "derender.structures.precompile", part], stdin=subprocess.PIPE,
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
 
 
@@ -67,6 +68,25 @@ def draws_on_a_floor() -> None:
     structure_posterior(np.random.default_rng(0), refined, names_of(state), 1.0, [only_draw(refined)])
 
 
+def engine_of_a_scene() -> None:
+    """Compile the engine on which chains over a given scene walk."""
+    import numpy as np
+
+    from derender.camera.intrinsics import Camera
+    from derender.render.raycast.depth import render_depth
+    from derender.render.raycast.engine import for_steps, new_engine
+    from derender.render.raycast.state import GAUSSIAN
+    from derender.scene.pose import translation
+    from derender.scene.solids import BOX, PLANE, Solids
+
+    camera, poses = Camera.from_field_of_view(WIDTH, HEIGHT), np.array([translation(0.0, 0.0, 0.8)] * 2)
+    solids = Solids(np.array([PLANE, BOX], np.int32), poses, np.full((2, 3), 0.1), np.full(2, -1, np.int32))
+    for_steps(new_engine(camera, np.full(camera.shape, 0.8), solids, GAUSSIAN, np.zeros(2), 0.5))
+    render_depth(solids, camera)
+
+
+PARTS = {"draws": draws_on_a_floor, "engine": engine_of_a_scene}
+
 if __name__ == "__main__":
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    draws_on_a_floor()
+    PARTS[sys.argv[1]]()

@@ -4,9 +4,14 @@ import os
 import subprocess
 import sys
 
+import pytest
 
-def test_what_is_compiled_ahead_still_runs():
-    done = subprocess.run([sys.executable, "-m", "derender.structures.precompile"], stdin=_open_end(),
+from derender.structures.precompile import PARTS
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_what_is_compiled_ahead_still_runs(part):
+    done = subprocess.run([sys.executable, "-m", "derender.structures.precompile", part], stdin=_open_end(),
                           capture_output=True, text=True, check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
 
