@@ -133,6 +133,15 @@ def test_an_integral_that_is_sure_is_what_is_told(monkeypatch):
     assert told.odds == pytest.approx(shift + sensors) and told.error == pytest.approx(math.hypot(0.1, 0.1))
 
 
+def test_the_whole_has_of_each_solid_what_its_integral_has_more_than_a_normal():
+    """Of a solid that shows so little a normal about the mode alone misses more than a nat."""
+    best, seed = small_beside_large(), 9
+    rng = np.random.default_rng(seed)
+    more = sum(evidence_over(rng, best, (k,))[0].log - near_evidence(best, (k,)) for k in (0, 1))
+    whole, _ = evidence_over(np.random.default_rng(seed), best)
+    assert more > 1.0 and whole.log == pytest.approx(near_evidence(best) + more)
+
+
 def test_two_boxes_are_one_by_the_integrals_over_both():
     best = mode_of(0.006, (-0.03, 0.0, (0.06, 0.06, 0.06), True), (0.03, 0.0, (0.06, 0.06, 0.06), True))
     union = merged(np.random.default_rng(7), best, 0, 1, RULES)
