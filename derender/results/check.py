@@ -21,9 +21,8 @@ from derender.scene.hull import convex_outline, outline_planes
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
 
-LOOKED_AT = 4000  # pixels, at most, evenly spread
+LOOKED_AT = 1000  # pixels, about, evenly spread
 TRIES = 150  # planes through three pixels each, of each kind: one with half of the pixels is missed never
-SIFTING = 4  # the best plane is chosen on every fourth of these pixels
 NEAR, DEVIATIONS = 0.006, 3.0  # share of the distance that a plane may be off, or so many deviations of the noise
 CLEARLY, MORE = 1.2, 0.08  # times as many pixels on the plane of another kind, and by how much of all, at least
 REMEDIES = {
@@ -65,29 +64,20 @@ def plane_shares(observed: np.ndarray, camera: Camera, noise: Noise) -> dict[str
 
 def _largest(design: np.ndarray, numbers: np.ndarray, limit: np.ndarray, triples: np.ndarray) -> float:
     """Return the share of pixels within the limit, relative to the number, of the best affine function tried."""
-    matrices = design[triples]
+    matrices, allowed = design[triples], limit * np.abs(numbers)
     usable = np.abs(np.linalg.det(matrices)) > 1e-4
-    planes = np.linalg.solve(matrices[usable], numbers[triples[usable]][..., None])[..., 0]
-    if not len(planes):
+    if not usable.any():
         return 0.0
-    allowed = limit * np.abs(numbers)
-    some = slice(None, None, SIFTING)
-    near = np.abs(planes @ design[some].T - numbers[some]) <= allowed[some]
-    plane = planes[int(np.argmax(near.sum(axis=1)))]
-    best = np.abs(design @ plane - numbers) <= allowed
-    share = float(best.mean())
-    for _ in range(3):  # through all of them it fits more
-        if best.sum() < 3:
-            break
-        plane, *_ = np.linalg.lstsq(design[best], numbers[best], rcond=None)
-        best = np.abs(design @ plane - numbers) <= allowed
-        share = max(share, float(best.mean()))
-    return share
+    planes = np.linalg.solve(matrices[usable], numbers[triples[usable]][..., None])[..., 0]
+    near = np.abs(planes @ design.T - numbers) <= allowed
+    best = near[np.argmax(near.sum(axis=1))]
+    plane = np.linalg.lstsq(design[best], numbers[best])[0]  # through all of them it fits more
+    return float(max(best.mean(), (np.abs(design @ plane - numbers) <= allowed).mean()))
 
 
 # Unexplained regions.  What is nowhere as wide as a few pixels is a silhouette's fault.
 THIN = 320  # columns of the image for each pixel that a thing may be thin and yet count
-BESIDE = 2  # times that many pixels from a region what it touches may begin: silhouettes are off by one or two
+BESIDE = 160  # columns for each pixel by which what a region touches may be off it, two at least: silhouettes are
 LEAST_SHARE = 0.001  # of the valid pixels that a region must have to be told
 MOST_IN_ALL = 0.04  # share of the valid pixels that may be unexplained
 MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
@@ -149,7 +139,7 @@ def beside(graph: "SceneGraph", fit: Fit, doubts: list[Doubt]) -> list[Doubt]:
     told = []
     for doubt in doubts:
         mask = np.any([region.mask for region in doubt.regions], axis=0) & doubt.serious
-        touched = np.unique(fit.label[binary_dilation(mask, np.ones((3, 3)), BESIDE * thin(mask))])
+        touched = np.unique(fit.label[binary_dilation(mask, np.ones((3, 3)), max(2, mask.shape[1] // BESIDE))])
         told.append(doubt._replace(about={graph.names[k - 1] for k in touched if k > 0}))
     return told
 
@@ -185,17 +175,12 @@ def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np
     return [Doubt(words, True, tuple(regions))] if regions else []
 
 
-def thin(image: np.ndarray) -> int:
-    """Return how many pixels of an image (H, W) half as wide a thing is as the narrowest that counts."""
-    return max(1, round(image.shape[1] / THIN))
-
-
 def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
     """Return the Regions of a mask (H, W), the largest first, without what is thin or small; valid : (H, W) bool."""
     from scipy.ndimage import binary_opening
     from scipy.ndimage import label as label_regions
 
-    wide = 2 * thin(mask) + 1
+    wide = 2 * max(1, round(mask.shape[1] / THIN)) + 1
     label, count = label_regions(binary_opening(mask, np.ones((wide, wide))))
     sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
     order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
@@ -253,7 +238,7 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
         return []
     return [
         Doubt(
-            f"a noise of {millimetres(fitted)} was fitted where flat patches show {millimetres(fit.noise.sigma)}: "
+            f"a noise of {1000 * fitted:.2g} mm was fitted where flat patches show {1000 * fit.noise.sigma:.2g} mm: "
             "it hides what is not explained"
         )
     ]
@@ -308,11 +293,6 @@ def nothing_but_a_plane(graph: "SceneGraph", fit: Fit, camera: Camera, observed:
 def percent(share: float) -> str:
     """Return a share in words: never 0 % of what there is."""
     return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
-
-
-def millimetres(length: float) -> str:
-    """Return a length in millimetres, two digits."""
-    return f"{1000 * length:.2g} mm" if length < 0.1 else f"{1000 * length:.0f} mm"
 
 
 FLOOR = 0  # the label of what shows a plane

@@ -17,18 +17,13 @@ class Region(NamedTuple):
 
     @property
     def where(self) -> str:
-        """Where it lies, such as "left of the middle"."""
-        return place_words(self.mask)
-
-
-def place_words(mask: np.ndarray) -> str:
-    """Return where the middle of a mask (H, W) lies in the image, in words."""
-    rows, columns = np.nonzero(mask)
-    down, across = rows.mean() / mask.shape[0], columns.mean() / mask.shape[1]
-    vertical = "" if 0.4 <= down <= 0.6 else "above" if down < 0.4 else "below"
-    sideways = "" if 0.4 <= across <= 0.6 else "left of" if across < 0.4 else "right of"
-    words = [word for word in (vertical, sideways) if word]
-    return f"{' and '.join(words)} the middle" if words else "in the middle"
+        """Where its middle lies, such as "left of the middle"."""
+        rows, columns = np.nonzero(self.mask)
+        down, across = rows.mean() / self.mask.shape[0], columns.mean() / self.mask.shape[1]
+        vertical = "" if 0.4 <= down <= 0.6 else "above" if down < 0.4 else "below"
+        sideways = "" if 0.4 <= across <= 0.6 else "left of" if across < 0.4 else "right of"
+        words = " and ".join(word for word in (vertical, sideways) if word)
+        return f"{words or 'in'} the middle"
 
 
 if TYPE_CHECKING:
@@ -85,15 +80,6 @@ def doubtful(row: Mapping[str, Any]) -> bool:
     r_hat, ess = row["r_hat"], row["ess_bulk"]
     largest, smallest = limits(row["draws"].size)
     return bool((np.isfinite(r_hat) and r_hat > largest) or (np.isfinite(ess) and ess < smallest))
-
-
-def worst_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
-    """Return the row with the largest R-hat and that with the fewest effective draws; None where there is none."""
-    split = [row for row in rows if np.isfinite(row["r_hat"])]
-    short = [row for row in rows if np.isfinite(row["ess_bulk"])]
-    return max(split, key=lambda row: row["r_hat"], default=None), min(
-        short, key=lambda row: row["ess_bulk"], default=None
-    )
 
 
 def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: int = 0) -> tuple[Doubt, ...]:
@@ -196,14 +182,14 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     """Return lines that say whether a result is to be trusted; what is worth knowing comes last."""
     told = [f"not to be trusted: {doubt.words}" for doubt in doubts if doubt.serious]
     notes = [f"worth knowing: {doubt.words}" for doubt in doubts if not doubt.serious]
-    worst, least = worst_of(rows)
+    r_hats, counts = ([row[key] for row in rows if np.isfinite(row[key])] for key in ("r_hat", "ess_bulk"))
     if told or not rows or any(map(doubtful, rows)):
         return told + notes
-    if worst is None or least is None:  # no two chains to compare
+    if not r_hats or not counts:  # no two chains to compare
         return ["nothing speaks against this scene; without draws nothing tells how sure it is", *notes]
-    largest, smallest = limits(worst["draws"].size)
+    largest, smallest = limits(rows[0]["draws"].size)
     agreement = (
-        f"the chains agree: R-hat is at most {worst['r_hat']:.3f} (good up to {largest}), effective draws are at least "
-        f"{least['ess_bulk']:.0f} (good from {smallest:.0f})"
+        f"the chains agree: R-hat is at most {max(r_hats):.3f} (good up to {largest}), effective draws are at least "
+        f"{min(counts):.0f} (good from {smallest:.0f})"
     )
     return [agreement, *notes]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from derender.results.trust import place_words
+from derender.results.trust import Region
 
 
 @pytest.mark.parametrize(
@@ -18,4 +18,4 @@ from derender.results.trust import place_words
 def test_places_are_told_in_words(rows, columns, words):
     mask = np.zeros((60, 80), bool)
     mask[rows, columns] = True
-    assert place_words(mask) == words
+    assert Region("A", mask, 0.1).where == words
