@@ -16,10 +16,10 @@ ROUGH, NOISE = 4.0, 2.5  # standard deviations from which on pixels are on no li
 TO_SIGMA = 1.4826  # standard deviations of a normal in the median of its absolute value
 ROUNDS = 5  # in which those are left out
 FEWEST = 30  # pixels of silhouettes
-LEAST, SURE = 0.3, 3.0  # pixels over which at least surfaces are flat, and standard errors by which it is more
-TOLD = 0.15  # pixels of standard error: with more silhouettes differ by more than a sensor's noise
-# Pixels: what is flat over more is smoothed, and so is what is flat to so much of that before its last pixel.
-MOST, BEFORE = 1.5, 0.5
+# Pixels over which surfaces are flat: over none, or one, or more where they are smoothed; and of standard error: with
+# more silhouettes differ by more than a sensor's noise.
+LEAST, MOST, TOLD = 0.5, 1.5, 0.15
+BEFORE = 0.6  # of that over which what is smoothed is flat before its last pixel (.61 to .97 on real frames), at least
 SHADOW = 5  # pixels without return beside a silhouette, beyond which is told what lies behind it
 
 
@@ -59,10 +59,9 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
 
 
 def fattened(depth: np.ndarray) -> bool:
-    """Whether the silhouettes of a depth image (H, W) are surely a pixel too wide."""
+    """Whether the silhouettes of a depth image (H, W) rather are a pixel too wide than as wide as they seem."""
     pixels, error = flat_pixels(depth)
-    surely = error < TOLD and LEAST + SURE * error < pixels < MOST
-    return surely and flat_pixels(depth, within=1)[0] < BEFORE * pixels
+    return error < TOLD and LEAST < pixels < MOST and flat_pixels(depth, within=1)[0] < BEFORE * pixels
 
 
 def thinned(depth: np.ndarray) -> np.ndarray:

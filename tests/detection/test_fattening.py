@@ -33,6 +33,10 @@ def test_fattened_silhouettes_are_thinned():
     assert wrong > 300 and left < 0.2 * wrong
 
 
+def test_a_stereo_camera_s_silhouettes_are_thinned_though_it_fattens_only_here_and_there():
+    assert all(fattened(scene("stereo", number).depth) for number in (709, 718, 720))
+
+
 @pytest.mark.parametrize("kind", ["edge", "rows", "overhead", "free", "phone"])
 def test_silhouettes_of_other_cameras_stay_as_they_are(kind):
     assert not any(fattened(scene(kind, number).depth) for number in range(3))
