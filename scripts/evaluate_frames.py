@@ -10,8 +10,10 @@ shorter lens, with more noise, without LOST of the returns or those beside steps
 rounded to millimetres or to disparities, half or thrice as far away and large (nearer, farther). Labels are looked up
 where their pixels went. Told of each variant: recall of what a person tells from depth, the same with difficult
 objects, precision, solids on what is labelled background, frames in which nothing was found though something is there,
-how often a plane passes within SUPPORT of the pixel labelled as the support's, and `changed`, the share of labelled
-objects that are found in the variant but not in the frame as it is, or the other way round. Matching is that of
+how often a plane passes within SUPPORT of the pixel labelled as the support's, `changed`, the share of labelled objects
+that are found in the variant but not in the frame as it is, or the other way round, how many answers are trusted, and
+of their solids, and of all that are trusted by themselves, the share that is there. In the end how often solids are
+there that are said to be with a probability. Matching is that of
 score.py beside the labels: the object shows at the labelled pixel within NEAR of its depth and its image box overlaps
 the labelled one by IOU or more.
 
@@ -29,6 +31,8 @@ from real_frames import real_folder
 from derender.camera.intrinsics import Camera
 from derender.detection.search.observation import observe
 from derender.errors import DerenderError
+from derender.report.contents import report_of
+from derender.results.trust import trusted
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
@@ -71,7 +75,8 @@ class Score(NamedTuple):
 
     `easy` and `every`: labelled objects, without and with difficult ones; solids : found in all, where all are
     labelled; behind : solids that show where background is labelled; empty : nothing found though something is there;
-    support : whether a plane passes through the pixel labelled as the support's, None where none is.
+    support : whether a plane passes through the pixel labelled as the support's, None where none is. trusted : the
+    answer; told : of each solid the probability that it is there, whether it is trusted, and whether it is there.
     """
 
     found: list[int]
@@ -84,6 +89,8 @@ class Score(NamedTuple):
     seconds: float
     no_floor: bool
     support: bool | None
+    trusted: bool = False
+    told: list[tuple[float, bool, bool]] = []
 
 
 def read_frame(folder, name, label):
@@ -322,8 +329,13 @@ def score(frame, posterior, seconds):
     planes = [graph.poses()[vertex.name] for vertex in graph.vertices if vertex.body.size() is None]
     normals = np.array([pose[:3, 2] for pose in planes]).reshape(-1, 3)
     offsets = np.array([pose[:3, 2] @ pose[:3, 3] for pose in planes])
+    likelihood = {key: value for key, value in posterior.meta["likelihood"].items() if key != "type"}
+    report = report_of(graph, frame.camera, frame.depth, posterior, likelihood=likelihood, shown=False)
+    solids = [item for item in report.scene["objects"] if item["size"] is not None]
+    each = [(item["probability"], item["trusted"], told.names.index(item["name"]) in at.values()) for item in solids]
     return Score(found, easy, len(objects), len(told.names), frame.label["complete"], len(behind), empty, seconds,
-                 bool(posterior.meta.get("no_floor")), support_met(frame, normals, offsets))  # fmt: skip
+                 bool(posterior.meta.get("no_floor")), support_met(frame, normals, offsets), trusted(report.doubts),
+                 each)  # fmt: skip
 
 
 def draw_picture(path, frame, posterior):
@@ -355,6 +367,18 @@ def of_all(answers):
     """Return how many of those that say something (bool, or None) are true: "17 of 18"."""
     said = [answer for answer in answers if answer is not None]
     return f"{sum(said)} of {len(said)}"
+
+
+def error_of(told):
+    """Return the expected calibration error of probabilities, in ten bins; told : [(probability, _, it is so)]."""
+    said, there = np.array([(probability, right) for probability, _, right in told]).T
+    bins = np.minimum((10 * said).astype(int), 9)
+    return sum(abs((said - there)[bins == k].sum()) for k in range(10)) / len(said)
+
+
+def counts(told):
+    """Return how many of some solids are there, and of how many."""
+    return sum(each[2] for each in told), len(told)
 
 
 def share_of(part, whole):
@@ -453,9 +477,10 @@ def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
                 print(f"{name} {kind}: found {row.found}, missed {missed}, solids {row.solids}, behind {row.behind}"
                       f"{', no floor' if row.no_floor else ''}, {row.seconds:.1f} s", flush=True)  # fmt: skip
     print(
-        "| variant | recall | with difficult | precision | background | nothing | support | changed | median, worst s |"
+        "| variant | recall | with difficult | precision | background | nothing | support | changed | trusted | theirs "
+        "| trusted solids | there | median, worst s |"
     )
-    print("|---" * 9 + "|")
+    print("|---" * 13 + "|")
     for kind, rows in scores.items():
         every = list(rows.values())
         hits, easy = sum(len({*r.found} & {*r.easy}) for r in every), sum(len(r.easy) for r in every)
@@ -471,6 +496,14 @@ def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
         cells = [share_of(hits, easy), share_of(sum(len(r.found) for r in every), sum(r.every for r in every)),
                  share_of(sum(len(r.found) for r in full), sum(r.solids for r in full)),
                  sum(r.behind for r in every), sum(r.empty for r in every),
-                 of_all([r.support for r in every]), share_of(changed, total),
+                 of_all([r.support for r in every]), share_of(changed, total), of_all([r.trusted for r in every]),
+                 share_of(*counts([each for r in full if r.trusted for each in r.told])),
+                 of_all([each[1] for r in full for each in r.told]),
+                 share_of(*counts([each for r in full for each in r.told if each[1]])),
                  f"{np.median(seconds):.1f}, {max(seconds):.1f}"]  # fmt: skip
         print(f"| {kind} | {' | '.join(map(str, cells))} |", flush=True)
+    told = [each for rows in scores.values() for r in rows.values() if r.complete for each in r.told]
+    if told:
+        said = np.mean([each[0] for each in told])
+        print(f"of {len(told)} solids {share_of(*counts(told))} are there, {said:.3f} are said to be: "
+              f"calibration error {error_of(told):.3f}")  # fmt: skip
