@@ -153,7 +153,6 @@ def make_inputs(folder: Path) -> None:
     mesh.export("mesh.obj")
     mesh.export("mesh.stl")
     text = Path("scene.yaml").read_text().replace("{type: cube, side: 0.2}", "{type: mesh, file: mesh.obj}")
-    text = text.replace("parent_face: +z, child_face: -z", "parent_face: 1, child_face: 0", 1)
     Path("mesh.yaml").write_text(text)
     Path("stl.yaml").write_text(text.replace("mesh.obj", "mesh.stl"))
     for words in ("infer image.npz -q -o result", "simulate result --duration 0.05 --draws 5 -q",

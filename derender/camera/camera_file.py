@@ -327,6 +327,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
+FARTHEST = 1e6  # metres from the first camera: numbers with more digits than that tell no millimetres
 UNTURNED = 1e-2  # by which a rotation's columns may be off length 1 and off right angles: poses printed to two digits
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from OpenCV's camera axes to OpenGL's
 WHAT, REMEDY = "the poses", "give a 4 x 4 matrix, camera to world, for each image"
@@ -453,6 +454,8 @@ def _matrix(value: Any, name: str) -> np.ndarray:
         remedy = "give it by rows: this one is by columns" if columns else "its last row is 0, 0, 0, 1"
         raise DerenderError(f"{name} is no pose", remedy=remedy)
     turn = pose[:3, :3]
+    if np.abs(pose).max() > FARTHEST:
+        raise DerenderError(f"{name} lies {np.abs(pose).max():.3g} m away", remedy="poses are in metres")
     if np.abs(turn.T @ turn - np.eye(3)).max() > UNTURNED or np.linalg.det(turn) < 0:
         raise DerenderError(f"{name} is no rotation and translation", remedy="its first 3 x 3 numbers are a rotation")
     left, _, right = np.linalg.svd(turn)

@@ -259,9 +259,9 @@ def _camera_of_npz(path: str | Path, shape: tuple[int, int]) -> Camera:
 def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path: str | Path) -> np.ndarray:
     """Return float64 metres with NaN for no return, or say what is impossible about the numbers."""
     integer = array.dtype.kind in "iu"
-    depth = array.astype(np.float64)
     scale = explicit if explicit is not None else camera_scale if integer else None
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # a damaged file holds NaNs of other kinds
+        depth = array.astype(np.float64)
         if scale is not None:
             depth *= scale / 1000
         elif depth.max(initial=0, where=np.isfinite(depth)) >= SKY:

@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -277,3 +278,11 @@ def test_a_depth_of_nothing_is_no_return():
     depth = np.full((24, 32), 0.9)
     depth[3, 4], depth[5, 6] = 1e-300, 5e-324
     assert np.isnan(read_depth(depth).depth[[3, 5], [4, 6]]).all()
+
+
+def test_a_nan_of_another_kind_is_no_warning():
+    """Flipped bits make signalling NaNs, of which a cast to float64 warns."""
+    depth = np.full((24, 32), 0.9, np.float32)
+    depth.view(np.uint32)[3, 4] = 0x7FA00000
+    with warnings.catch_warnings(action="error"):
+        assert np.isnan(read_depth(depth).depth[3, 4])

@@ -9,7 +9,7 @@ from derender.camera.camera_file import poses_of_camera_file, read_poses, turned
 from derender.camera.depth_file import DepthImage, turned
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.scene.pose import inverse, random_rotation
+from derender.scene.pose import inverse, random_rotation, translation
 
 NAMES = ("frames/000001.png", "frames/000002.png")
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -74,6 +74,8 @@ def test_a_camera_without_poses_has_none(tmp_path):
         ([np.eye(4).tolist(), np.diag([2.0, 1.0, 1.0, 1.0]).tolist()], "no rotation"),
         ([np.eye(4).tolist(), np.diag([-1.0, 1.0, 1.0, 1.0]).tolist()], "no rotation"),
         ([np.eye(4).tolist(), poses()[0].T.tolist()], "is no pose"),
+        ([np.eye(4).tolist(), translation(0.0, 0.0, 1e308).tolist()], "1e[+]308 m away; poses are in metres"),
+        ([np.eye(4).tolist(), np.diag([1e200, 1.0, 1.0, 1.0]).tolist()], "m away; poses are in metres"),
         ({"fx": 60}, "no poses in it"),
         ([[1.0, 2.0], [3.0]], "no poses in it"),
     ],

@@ -25,6 +25,7 @@ from derender.scene.shapes.kinds import ROTATIONS, box_mesh
 
 MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
 LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
+FARTHEST = 1e9  # metres, or whatever the file counts in, of a vertex: volumes beyond it overflow
 
 
 class LoadedMesh(NamedTuple):
@@ -80,8 +81,8 @@ def fit_box(mesh: Any, hull: bool, where: object) -> LoadedMesh:
     """Return a trimesh.Trimesh in the axes of its smallest oriented box; `where` names it in errors and warnings."""
     import trimesh
 
-    if not np.isfinite(mesh.vertices).all():
-        raise DerenderError("the mesh has vertices that are not finite", where, "export it again")
+    if not (np.abs(mesh.vertices) < FARTHEST).all():
+        raise DerenderError("the mesh has vertices that are not finite, or too far away", where, "export it again")
     try:
         convex = mesh.convex_hull
         box_from_file, extents = trimesh.bounds.oriented_bounds(convex)
