@@ -20,7 +20,7 @@ from derender.tracking.tracker import is_quiet, rotation_between
 if TYPE_CHECKING:
     from derender.tracking.passes import Pass
 
-SWEEPS = 3  # over all frames, there and back and there; sizes are learnt between them
+SWEEPS = 2  # over all frames, there and back; sizes are learnt between them
 ROOM = np.repeat([0.010, 0.10], 3)  # metres and radians: how far a fit is from where it begins
 GROWTH = 0.003  # metres that a size changes by in one frame's fit
 
@@ -93,17 +93,18 @@ class Smoother:
         return float(cost(tracker.misfit, tracker.poses, tracker.sizes))
 
     def _fit(self, t: int, k: int, grows: bool) -> Fit:
-        """Fit thing k to frame t, which is drawn, from all beginnings; leave it drawn where it is likeliest."""
+        """Fit thing k to frame t, which is drawn, from its place there and from the likeliest of those beside it; leave
+        it drawn where it is likelier."""
         tracker, thing, index = self.tracker, self.tracker.things[k], self.tracker.planes + k
         count = len(thing.ties)
         information = np.diag(np.concatenate([ROOM, np.full(count, GROWTH)]) ** -2)
         beside = [s for s in (t - 1, t + 1) if 0 <= s < len(self.rows) and self.states[s, k] != GONE]
-        starts = [self.poses[s, k] for s in (t, *beside) if s == t or MOVING in (self.states[s, k], self.states[t, k])]
-        if len(starts) == 3:
-            shift, turn = starts[2][:3, 3] - starts[1][:3, 3], rotation_between(starts[1], starts[2])
-            starts.append(moved(starts[1], 0.5 * np.concatenate([shift, turn])))
+        others = [self.poses[s, k] for s in beside if MOVING in (self.states[s, k], self.states[t, k])]
+        if len(others) == 2:
+            shift, turn = others[1][:3, 3] - others[0][:3, 3], rotation_between(*others)
+            others.append(moved(others[0], 0.5 * np.concatenate([shift, turn])))
         found = []
-        for start in starts:
+        for start in (self.poses[t, k], *sorted(others, key=lambda pose: tracker.draw(k, pose))[:1]):
             tracker.draw(k, start)
             _, curvature = tracker.fit(k, start, information, free=False)
             found.append((tracker.price(k), tracker.poses[index].copy(), curvature))

@@ -7,7 +7,7 @@ explains the image best; where its pixels are not explained from there, others a
 something that nothing explains.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -395,28 +395,6 @@ class Tracker(Drawing):
             resting = [k for k in resting if k in self.woken]
         for k in sorted(resting, key=self.excess, reverse=True):  # what moved itself before what it uncovers
             self._wake(k)
-        moving += [k for k in resting if self.things[k].state == MOVING]
-        if self._close(moving):
-            for k in moving:
-                if self.things[k].state == MOVING:
-                    self._polish(k)
-
-    def _polish(self, k: Any) -> None:
-        """Fit a moving thing again, now that what moves beside it has been found."""
-        thing = self.things[k]
-        before, information = thing.pose[:3, 3].copy(), self._information(thing)
-        _, curvature = self.fit(k, thing.pose, information, True, 3)
-        if self.unexplained(k):
-            curvature = self._search(k, thing.pose, information, curvature)
-        self._take(k, curvature)
-        thing.velocity = thing.velocity + (thing.pose[:3, 3] - before) / self.step
-
-    def _close(self, moving: list[int]) -> bool:
-        """Whether two moving things touch in the image."""
-        boxes = [self.misfit.canvas.rectangle[self.planes + k] for k in moving if self.things[k].state == MOVING]
-        return any(
-            a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3] for n, a in enumerate(boxes) for b in boxes[:n]
-        )
 
     def _find_again(self, blobs: list[Blob]) -> None:
         """Look for lost and hidden things where nothing explains what is seen."""
