@@ -18,7 +18,7 @@ from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
-from derender.detection.solids.polish import FREE
+from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
 from derender.detection.things import BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
@@ -209,11 +209,12 @@ def held_by_another(state: State) -> tuple[int, int] | None:
 
 
 def neck(state: State) -> tuple[int, int] | None:
-    """Return (i, j), a narrow cylinder, nothing on it, and the upright wide one about whose axis alone it stands."""
+    """Return (i, j), a solid, nothing on it, and the upright one on which alone it stands, whose part it is: a narrow
+    cylinder about the axis of a wide one, or what would fall off, as a cabinet from one of its feet."""
     for i, row in enumerate(state.rows):
         for j in alone_on(state, i):
             other = state.rows[j]
-            if (
+            if (state.forms[i] == UPRIGHT and not shares_of_load(state.rows, i, HELD)) or (
                 int(row[0]) == int(other[0]) == CYLINDER
                 and flat_top(other)
                 and row[13] < NECK * other[13]

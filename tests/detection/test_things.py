@@ -261,6 +261,14 @@ def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
     assert neck(capped.add(cylinder(0.0, 0.19, 0.03, 0.04), UPRIGHT, False, 1, 0.19)) is None  # it bears another
 
 
+def test_what_would_fall_off_what_alone_bears_it_is_a_part_of_it():
+    """A cabinet on one of its feet, the others of which are hidden; not a lid that juts out."""
+    foot = State().add(make_row(BOX, np.eye(3), [0.0, 0.0, 0.07], [0.05, 0.05, 0.14]), UPRIGHT, False, FLOOR, 0.0)
+    for x, parts in ((0.15, (1, 0)), (0.01, None)):
+        body = make_row(BOX, np.eye(3), [x, 0.0, 0.34], [0.4, 0.4, 0.4])
+        assert neck(foot.add(body, UPRIGHT, False, 0, 0.14)) == parts
+
+
 def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
     """A mug's handle, seen in few pixels: one that stands on the table is no handle."""
     tall = 0.1
