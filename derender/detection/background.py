@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from derender.detection.freestanding import LARGEST, outline_shares, stand_free
+from derender.detection.freestanding import BORDER, FARTHER, LARGEST, NEARER, outline_shares, stand_free
 from derender.detection.outline import ends_of
 from derender.detection.patches import APART, SeenSurface
 from derender.detection.search.bodies import label_bodies
@@ -35,11 +35,11 @@ DIRECTIONS = 8  # in which a body's length along the support is taken
 MAIN = 0.1  # of the floor's largest piece in pixels: smaller pieces of its plane lie there by chance
 MARGIN = 0.01  # metres beyond the outline that still count as over it
 WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and how near the edge how much of it stands
-# Over the support that the lowest point of a piece of a longer body may be: metres, and standard deviations of noise,
-# besides the pixel that begins there.
-FOOT, FOOT_NOISES = 0.03, 4.0
-PIECE = 60  # pixels of such a piece, at least
+PIECE = 60  # pixels of a piece of a longer body, at least
+FOOT = 0.03  # metres over the support that what a body shows in a column may end and stand there
 STANDS = 0.6  # share of its columns in which a body ends at its foot from which on it shows that it stands
+DOWN = 0.75  # of its top's height over the support, how much a body shows at least that comes down to it
+LARGE = 0.02  # share of the pixels with a depth: what shows in less, cut off by the border, is a detail
 LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
@@ -49,7 +49,6 @@ def standing_bodies(
     surface: SeenSurface,
     above: np.ndarray,
     beyond: np.ndarray,
-    sigma: np.ndarray,
     held: np.ndarray,
     floating: bool = False,
     real: bool = True,
@@ -58,7 +57,6 @@ def standing_bodies(
 
     surface : in the floor frame, lengths as above. above : (H, W) bool, pixels over the support's plane.
     beyond : (H, W) metres by which points lie beyond the outline of its visible part, negative over it.
-    sigma : (H, W) metres of noise.
     held : (H, W) bool, pixels of what surely stands on it, such as what fills the view.
     floating : whether solids may hang in the air. real : whether a room may be behind: of what has noise that no sensor
         has only what is long goes on beyond the border.
@@ -79,7 +77,7 @@ def standing_bodies(
             or (
                 cut_off(points, mask, frame, real)
                 and not shows_top(points[mask], normal[mask])
-                and not shows_foot(points, mask, beyond)
+                and not shows_foot(surface, mask, beyond)
             )
             or (not floating and floats(surface, mask))
         )
@@ -96,9 +94,7 @@ def standing_bodies(
                 stand_free(shares) & (np.bincount(piece[piece >= 0], minlength=pieces) >= PIECE)
             ):
                 part = piece == number
-                foot = max(FOOT, FOOT_NOISES * np.median(sigma[part])) + np.median(surface.footprint[part])
-                on_floor = np.quantile(points[part][:, 2], ENDS) < foot
-                if on_floor and length(points[part]) < LARGEST and not at_border(part, frame) and stands(part):
+                if length(points[part]) < LARGEST and comes_down(points[part]) and stands(part):
                     standing[part] = True
     return standing
 
@@ -118,14 +114,6 @@ def frame_seen(good: np.ndarray) -> tuple[int, ...]:
         ends = len(filled) and returns[-1] - filled[-1] <= most
         found += [int(filled[0]) if begins else 0, int(filled[-1]) if ends else last]
     return tuple(found)
-
-
-def at_border(mask: np.ndarray, frame: Sequence[int]) -> bool:
-    """Return whether a body reaches the border of what has a depth."""
-    top, bottom, left, right = frame
-    rows, columns = np.nonzero(mask)
-    return bool(rows.min() <= top + 1 or rows.max() >= bottom - 1 or columns.min() <= left + 1
-                or columns.max() >= right - 1)  # fmt: skip
 
 
 def along_edge(points: np.ndarray, beyond: np.ndarray) -> bool:
@@ -163,21 +151,35 @@ def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     return np.mean((points[:, 2] > top) & (normal[:, 2] > LEVEL)) > TOP_SHARE
 
 
-def shows_foot(points: np.ndarray, mask: np.ndarray, beyond: np.ndarray) -> bool:
-    """Return whether a body shows that it stands well within the support, and all along: arms and walls do not.
+def shows_foot(surface: SeenSurface, mask: np.ndarray, beyond: np.ndarray) -> bool:
+    """Return whether a body shows that it stands well within the support: arms and walls do not.
 
-    points : (H, W, 3). mask : (H, W) bool, its pixels. beyond : (H, W) metres, see `standing_bodies`.
+    Its foot shows all along; or it is no detail of the image, hardly any of it is beyond the border or hidden, beside
+    what shows something farther behind it, and it comes so far down that most of its height is seen.
+
+    mask : (H, W) bool, its pixels. beyond : (H, W) metres, see `standing_bodies`.
     """
-    own = points[mask]
+    own = surface.points[mask]
     if np.mean(beyond[mask] > -EDGE) > MOSTLY or max(length(own), np.ptp(ends_of(own[:, 2:], ENDS))) > LONG:
         return False
     columns = np.flatnonzero(mask.any(axis=0))
     rows = mask.shape[0] - 1 - np.argmax(mask[::-1, columns], axis=0)
-    return float(np.mean(points[rows, columns, 2] < FOOT)) > STANDS
+    if np.mean(surface.points[rows, columns, 2] < FOOT) > STANDS:
+        return True
+    outline = outline_shares(surface, np.where(mask, 0, -1).astype(np.int32), 1)[0]
+    shows = outline[FARTHER] > outline[NEARER] + outline[BORDER]
+    return bool(shows and comes_down(own) and mask.sum() > LARGE * surface.good.sum())
+
+
+def comes_down(points: np.ndarray) -> bool:
+    """Return whether what shows of a body (K, 3) reaches far enough down: its foot may be narrow, or hidden, but an
+    arm hangs over the support, and so does what is on a wall."""
+    low, top = ends_of(points[:, 2:], ENDS).ravel()
+    return bool(top - low > DOWN * top)
 
 
 def is_background(
-    points: np.ndarray,
+    surface: SeenSurface,
     mask: np.ndarray,
     normal: np.ndarray,
     behind: np.ndarray,
@@ -187,11 +189,12 @@ def is_background(
     """Return whether what shows as one solid is a piece of the background: cut off by the image's border as a wall or a
     hand is, grown together with what is background, or on the very edge of the support, where a bin's wall begins.
 
-    mask : (H, W) bool, the pixels that show it. normal : (H, W, 3) of the surface. behind : (H, W) bool, those of the
-    background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
+    surface : see `standing_bodies`. mask : (H, W) bool, the pixels that show it. normal : (H, W, 3). behind : those of
+    the background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
     """
+    points = surface.points
     cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
-    cut = cut and not shows_foot(points, mask, beyond)
+    cut = cut and not shows_foot(surface, mask, beyond)
     if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY:
         return True
     outline, joined = np.zeros(mask.shape, bool), np.zeros(mask.shape, bool)

@@ -142,6 +142,11 @@ class SeenSurface(NamedTuple):
         """Return the surface seen with noise of `sigma` (H, W) metres."""
         return cls(points, good, footprint, np.ascontiguousarray(APART * footprint + 3.0 * sigma), origin)
 
+    def in_units_of(self, metres: float) -> "SeenSurface":
+        """Return the surface with all its lengths counted in so many metres."""
+        points, good, *lengths = self
+        return SeenSurface(points / metres, good, *(each / metres for each in lengths))
+
     def normals(self, mask: np.ndarray) -> np.ndarray:
         """Return (H, W, 3) the normals at the pixels of a mask (H, W), by these alone; zero where there is none."""
         return local_planes(self.points, mask, self.origin, self.jump, 2)[0]

@@ -278,13 +278,13 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
         return seen, state, masks
     frame = frame_seen(good)
     label, misfit = held_out(image, state, -1)[1:3]
-    normal = seen.surface.normals(good)
     behind, gone = seen.behind, np.zeros(good.shape, bool)
-    points, beyond = seen.points / seen.floor_scale, seen.beyond / seen.floor_scale
+    normal = seen.surface.normals(good)
+    surface, beyond = seen.surface.in_units_of(seen.floor_scale), seen.beyond / seen.floor_scale
     fills = seen.floor.inliers.sum() < HIDDEN_FLOOR * good.sum()
 
     def goes(mask):
-        return not fills and mask.sum() >= FEWEST and is_background(points, mask, normal, behind, beyond, frame)
+        return not fills and mask.sum() >= FEWEST and is_background(surface, mask, normal, behind, beyond, frame)
 
     keep, shown = set(), good & (misfit < LIMIT)
     things = np.any([gone, *(mask for mask, _ in masks)], axis=0)

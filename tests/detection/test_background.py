@@ -6,6 +6,7 @@ from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
 from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, shows_foot
 from derender.detection.floor import local_noise
+from derender.detection.patches import SeenSurface
 from derender.detection.search.observation import observe
 from derender.render.raycast.depth import render_depth
 from derender.scene.solids import BOX, PLANE, Solids
@@ -102,47 +103,70 @@ def test_a_carton_whose_top_shows_stands_there_though_the_border_cuts_it_and_a_w
     assert seen.mask[carton].mean() > 0.9 and seen.background < 0.1
 
 
-def flat_points(height, width, across=0.005):
-    """Return points (H, W, 3) of a level surface, so many metres from pixel to pixel."""
+def flat_surface(height, width, across=0.005):
+    """Return the SeenSurface of a level plane, so many metres from pixel to pixel, seen from the last row's side."""
     row, column = np.indices((height, width))
-    return np.stack([across * column, across * row, np.zeros((height, width))], axis=-1)
+    points = np.stack([across * column, across * row, np.zeros((height, width))], axis=-1)
+    eye = across * np.array([0.5 * width, 2.0 * height, height])
+    everywhere = np.ones((height, width), bool)
+    return SeenSurface.of(points, everywhere, np.full((height, width), across), np.zeros((height, width)), eye)
 
 
 def test_what_has_grown_together_with_the_background_belongs_to_it():
-    points, mask, behind = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    surface, mask, behind = flat_surface(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
     mask[20:40, 30:40], behind[:, 40:60] = True, True
-    upright = np.zeros_like(points)
+    upright = np.zeros_like(surface.points)
     frame, inside, edge = (0, 59, 0, 79), np.full((60, 80), -1.0), np.zeros((60, 80))
-    assert is_background(points, mask, upright, behind, inside, frame)  # a third of its outline goes on in the wall
+    assert is_background(surface, mask, upright, behind, inside, frame)  # a third of its outline goes on in the wall
     behind[27:] = False
-    assert not is_background(points, mask, upright, behind, inside, frame)
-    assert is_background(points, mask, upright, behind, edge, frame)  # it stands where the floor ends
+    assert not is_background(surface, mask, upright, behind, inside, frame)
+    assert is_background(surface, mask, upright, behind, edge, frame)  # it stands where the floor ends
     behind[27:40, 40:60] = True
-    points[:, 40:, 2] = 0.1
-    assert not is_background(points, mask, upright, behind, inside, frame)  # the wall is ten centimetres behind it
+    surface.points[:, 40:, 2] = 0.1
+    assert not is_background(surface, mask, upright, behind, inside, frame)  # the wall is ten centimetres behind it
 
 
 def test_what_the_side_of_the_image_cuts_as_a_hand_belongs_to_it():
-    points, mask, nothing = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
-    mask[20:40, 70:80], points[..., 2] = True, 0.05  # it does not stand on the floor
-    inside, upright = np.full((60, 80), -1.0), np.zeros_like(points)
-    assert is_background(points, mask, upright, nothing, inside, (0, 59, 0, 79))
-    assert not is_background(points, np.roll(mask, -5, axis=1), upright, nothing, inside, (0, 59, 0, 79))
+    surface, mask, nothing = flat_surface(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    mask[20:40, 70:80], surface.points[..., 2] = True, 0.05  # it does not stand on the floor
+    inside, upright = np.full((60, 80), -1.0), np.zeros_like(surface.points)
+    assert is_background(surface, mask, upright, nothing, inside, (0, 59, 0, 79))
+    assert not is_background(surface, np.roll(mask, -5, axis=1), upright, nothing, inside, (0, 59, 0, 79))
+
+
+def with_a_front(side, rows, bottom=0.0):
+    """Return (SeenSurface, mask) of a plane with an upright front of so many rows before it, cut by the top or right
+    border, that begins so many metres over the plane."""
+    surface, mask = flat_surface(60, 80), np.zeros((60, 80), bool)
+    top, columns = (0, slice(30, 54)) if side == "top" else (16, slice(56, 80))
+    part = slice(top, top + rows), columns
+    mask[part] = True
+    surface.points[part][..., 1] = 0.005 * (top + rows)
+    surface.points[part][..., 2] = bottom + 0.005 * np.arange(rows)[::-1, None]
+    return surface, mask
 
 
 @pytest.mark.parametrize("side", ["top", "right"])
 def test_what_the_border_cuts_but_shows_to_stand_on_the_floor_is_no_hand_and_no_wall(side):
     """Of a block that stands on the floor all along its lower edge the border may cut off what it likes."""
-    points, mask, nothing = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
-    rows, columns = (slice(0, 24), slice(30, 54)) if side == "top" else (slice(16, 40), slice(56, 80))
-    mask[rows, columns] = True
-    points[rows, columns, 2] = 0.005 * np.arange(24)[::-1, None]
-    inside, at_edge, upright, frame = np.full((60, 80), -1.0), np.zeros((60, 80)), np.zeros_like(points), (0, 59, 0, 79)
-    assert cut_off(points, mask, frame, least=0.0)
-    assert shows_foot(points, mask, inside) and not is_background(points, mask, upright, nothing, inside, frame)
-    assert not shows_foot(points, mask, at_edge)  # where the floor ends, as a wall
-    assert not shows_foot(points + [0.0, 0.0, 0.05], mask, inside)  # over the floor, as an arm
-    assert not shows_foot(6.0 * points, mask, inside)  # furniture
+    surface, mask = with_a_front(side, 24)
+    inside, at_edge, frame = np.full((60, 80), -1.0), np.zeros((60, 80)), (0, 59, 0, 79)
+    nothing, upright = np.zeros((60, 80), bool), np.zeros_like(surface.points)
+    assert cut_off(surface.points, mask, frame, least=0.0)
+    assert shows_foot(surface, mask, inside) and not is_background(surface, mask, upright, nothing, inside, frame)
+    assert not shows_foot(surface, mask, at_edge)  # where the floor ends, as a wall
+    assert not shows_foot(surface.in_units_of(1.0 / 6.0), mask, inside)  # furniture
+
+
+@pytest.mark.parametrize("side", ["top", "right"])
+def test_what_comes_down_near_the_floor_stands_on_it_though_its_foot_is_narrow_or_hidden(side):
+    """A monitor on its foot, a cabinet on its wheels: no detail of the image, and before what is farther behind."""
+    inside = np.full((60, 80), -1.0)
+    assert shows_foot(*with_a_front(side, 24, 0.035), inside)
+    assert not shows_foot(*with_a_front(side, 24, 0.06), inside)  # it hangs over the floor as an arm does
+    surface, mask = with_a_front(side, 24, 0.035)
+    surface.points[~mask, 1] += 0.3  # what shows beside it is nearer: a wall's piece that others leave to be seen
+    assert not shows_foot(surface, mask, inside)
 
 
 def test_the_border_is_where_returns_begin_not_the_top_of_a_solid():

@@ -323,7 +323,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     mask = above & inside & ~beyond
     if floor.inliers.any():
         surface, real = SeenSurface.of(there, good, wide, rough, eye), correlation > CORRELATED
-        mask = standing_bodies(surface, above & ~beyond, beyond_edge / scale, rough, held, floating, real)
+        mask = standing_bodies(surface, above & ~beyond, beyond_edge / scale, held, floating, real)
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask
     background = (background & ~wall) | beyond
