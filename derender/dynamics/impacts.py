@@ -1,7 +1,6 @@
 """Where tracking shows impacts, and what the poses about them tell before any film of the engine.
 
-A film of the engine begins anew after each impact: with which speed, and with which restitution to start, is told by
-parabolas through the tracked centres.
+A film of the engine begins anew after each impact: with which speed is told by parabolas through the tracked centres.
 """
 
 from itertools import combinations
@@ -134,27 +133,3 @@ class Impacts:
         if count == 2 or np.sum((way - fall - np.outer(time, speed))[:, :3] ** 2) < FLIES * error**2:
             return speed
         return np.linalg.lstsq(np.stack([time, time**2], axis=1), way, rcond=None)[0][0]
-
-    def restitution(self) -> float | None:
-        """Return which share of its speed downward a body kept at the fastest impact that has free flight about it.
-
-        The difference of two parabolas under gravity is a line, which says when they meet. None: there is no impact of
-        that kind.
-        """
-        states, found = self.filled(), []
-        strength = float(np.linalg.norm(self.gravity))
-        up = -self.gravity / max(strength, 1e-9)
-        for k in range(self.count):
-            cuts = [frame for frame, body in self.cuts if body == k]
-            flights = [(self.first_speed(states, frame, k)[:3] @ up, states[frame, k, :3] @ up) for frame in cuts]
-            for (speed, height), (next_speed, next_height), frames in zip(
-                flights[:-1], flights[1:], np.diff(cuts), strict=True
-            ):
-                between = frames * self.motion.step
-                fallen = next_height - next_speed * between - strength * between**2 / 2 - height
-                gained = next_speed + strength * between - speed
-                meet = -fallen / gained if abs(gained) > BOUNCE else np.nan
-                before, after = speed - strength * meet, next_speed - strength * (meet - between)
-                if 0 < meet < between and before < -BOUNCE and 0 < after < -before:
-                    found.append((float(before), float(-after / before)))
-        return min(found)[1] if found else None

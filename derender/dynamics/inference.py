@@ -176,14 +176,13 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
     """Return coordinates to start from: of several frictions those whose films lie nearest to the tracked centres, each
     with its nearest bounce where something may be struck. Masses begin as the prior says: momentum leads to theirs."""
-    middle, told = shooting.parameters.middle(), shooting.restitution()
-    usual = middle[1] if told is None or not shooting.struck else told
+    middle = shooting.parameters.middle()
 
     def nearest(starts: list[np.ndarray]) -> tuple[float, np.ndarray]:
         far = [distance_of(shooting, start) for start in starts]
         return min(far), starts[int(np.argmin(far))]
 
-    bounces = (usual, *RESTITUTIONS) if shooting.struck else (usual,)
+    bounces = (middle[1], *RESTITUTIONS) if shooting.struck else middle[1:2]
     tried = [nearest([np.array([math.log(each), bounce, *middle[2:]]) for bounce in bounces]) for each in FRICTIONS]
     found = sorted(tried, key=lambda pair: pair[0])[:STARTS]
     if shooting.struck:

@@ -300,13 +300,3 @@ def test_restitution_is_the_same_wherever_between_two_frames_an_impact_lies():
             first = np.flatnonzero((path[:, 9] > 0) & (path[:, 2] > 0.04))[0]  # it has left the floor
             speed = np.sqrt(path[first, 9] ** 2 + 2 * GRAVITY * (path[first, 2] - 0.04))
             assert abs(speed / np.sqrt(2 * GRAVITY * height) - 0.7) < 0.03
-
-
-@pytest.mark.parametrize("restitution", [0.5, 0.65, 0.85])
-def test_flights_about_an_impact_tell_restitution_in_closed_form(restitution):
-    film = bounce(restitution, np.random.default_rng(0))
-    engine = Engine(film.matter, film.names, STEP)
-    shooting = Shooting(film, Parameters(film.names, engine.masses, read_dynamics_prior()), engine)
-    assert abs(shooting.restitution() - restitution) < 0.02
-    film = slide(0.3, 1.0, np.random.default_rng(0))
-    assert Shooting(film, shooting.parameters, Engine(film.matter, film.names, STEP)).restitution() is None
