@@ -63,7 +63,8 @@ def with_rivals(
         share, low, high = 1.0 / (1.0 + np.exp(-(swap.odds + NEAR_ERROR * np.array([0.0, -NINETY, NINETY]))))
         both = []
         for part in parts:
-            if name not in part.graph.names or (part.graph.vertex(name).shape == "thing") == free:
+            stays = name not in part.graph.names or (part.graph.vertex(name).shape == "thing") == free
+            if stays or part.graph.children(name):  # in some structures something stands on it
                 both.append(part)
                 continue
             left = without_object(part.best_only(), name)

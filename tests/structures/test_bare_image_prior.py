@@ -248,3 +248,10 @@ def test_what_a_thing_may_be_instead_has_its_share(monkeypatch):
     assert found.shape_probability("thing_1")["box"] == pytest.approx(1.0 / (1.0 + np.exp(1.0)))
     back = free_forms.with_rivals(rng, [found.parts[1]], seen, State(), settings)
     assert len(back) == 1  # it is that solid already
+    upon = Vertex("upon", "cube", {"side": 0.03}, "thing_1",
+                  Contact("face-to-face", "+z", "-z", {"u": 0.5, "v": 0.5, "theta": 0.0}))  # fmt: skip
+    (first,) = parts
+    held = replace(first, graph=first.graph.add(upon), addresses=(*first.addresses, "upon.side"), periods=(),
+                   values=np.concatenate([first.values, np.full((2, 50, 1), 0.03)], axis=2))  # fmt: skip
+    (same,) = free_forms.with_rivals(rng, [held], seen, State(), settings)
+    assert same is held  # what stands on it would be gone with it, and its numbers left
