@@ -67,6 +67,9 @@ def test_chains_that_disagree_about_an_object_say_nothing_of_others():
     for address, about in (("box_1.width", {"box_1"}), ("likelihood.sigma", None)):
         (doubt,) = chain_doubts(seen_by_a_sensor(0.0), parameter_rows([address], values))
         assert doubt.serious and doubt.about == about and "effective draws; --draws" in doubt.words
+    row = {**parameter_rows(["box_1.width"], values)[0], "r_hat": np.nan, "ess_bulk": 13.0}
+    (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [row])
+    assert doubt.words.startswith("the chains disagree about box_1.width: 13 effective draws; --draws")
     doubtful_thing = seen_by_a_sensor(0.0)
     doubtful_thing.best_part.values = np.zeros((1, 1, 0))
     for known, told in ((0.55, [True]), (0.7, [False]), (0.8, [])):
