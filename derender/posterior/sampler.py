@@ -342,7 +342,7 @@ def tempered(
     return Population(values, densities, log_evidence + log_ratio, kept)
 
 
-LOCAL = ("drift", "slide", "turn")  # kernels that move a starting population
+LOCAL = ("drift", "slide")  # kernels that move a starting population
 GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more

@@ -39,9 +39,6 @@ def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribu
     known = {unknown.address for unknown in unknowns}
     space.slides = tuple(name for name in members if _can_slide(graph, name, known))
     space.relocations = tuple(name for name in members if _can_relocate(graph, name, known))
-    bases = bases_of(graph, space.relocations, known)
-    below = {name: graph.vertex(name).parent for name in bases}
-    space.below = {name: parent for name, parent in below.items() if bases.get(parent) == bases[name]}
     return space
 
 
@@ -255,9 +252,7 @@ def default_parts() -> list[dict[str, Mapping[str, Any]]]:
     Local steps do the work; what is put down anew, and jumps, leave a wrong basin; resimulation is the paper's.
     """
     return [
-        {"relocate": {"weight": 0.3}},
-        {"relocate-stack": {"weight": 0.15}},
-        {"turn": {"weight": 0.1}},
+        {"relocate": {"weight": 0.55}},
         {"drift": {"weight": 0.2}},
         {"slide": {"weight": 0.2}},
         {"drift-all": {"weight": 0.1}},

@@ -143,8 +143,8 @@ def test_types_lists_and_explains_what_is_registered(capfd):
     assert run("types", "face-to-face") == 0
     text = capfd.readouterr().out
     assert "theta" in text and "slack" in text and "period" in text
-    assert run("types", "relocate-stack") == 0
-    assert re.search(r"^  objects +default 2$", capfd.readouterr().out, re.MULTILINE)
+    assert run("types", "drift") == 0
+    assert re.search(r"^  scale +default 1", capfd.readouterr().out, re.MULTILINE)
     assert run("types", "robust") == 0  # a name of 16 letters: the columns stay columns
     lines = [line for line in capfd.readouterr().out.splitlines() if re.match(r"  \w+ .* from ", line)]
     assert len(lines) > 9 and len({line.index(" from ") for line in lines}) == 1

@@ -120,7 +120,8 @@ def test_chains_that_disagree_go_on_as_if_never_stopped(monkeypatch):
         shapes.append(part.values.shape[1])
     assert shapes[0] == 10 and shapes[1] in (20, 40, 80, 160, 320, 640)
     straight = infer_scene(world.document, image, world.document.camera, few._replace(draws=shapes[1]))
-    np.testing.assert_array_equal(straight.posterior.parts[0].values, part.values)
+    # to rounding: where objects stayed as others moved is placed anew from their contacts when chains go on
+    np.testing.assert_allclose(straight.posterior.parts[0].values, part.values, rtol=0.0, atol=1e-9)
 
 
 def test_map_is_one_scene_no_worse_than_the_truth():

@@ -275,10 +275,10 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
         factor = kernels.factors[kernels.table[FACTOR_FIRST, k] : kernels.table[FACTOR_FIRST, k + 1]]
         keep, put = kernels.table[KEEP, k], members[:0]  # put : vertices that a relocation puts down
         if form == PLACING:
-            put, thetas = members[2 : 2 + len(members) // 2 - 1], members[1 + len(members) // 2 :]
+            put = members[:1]
             correction = call_for_number(
                 kernels.table[PLACE_AT, k], rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
-                chain.moved_pose, put, members[0], members[1], thetas, factor, kernels.table[PROPOSE_AT, k]
+                chain.moved_pose[0], members, factor, kernels.table[PROPOSE_AT, k]
             )  # fmt: skip
         else:
             correction = call_for_number(
@@ -398,28 +398,23 @@ def stand_all(model, chain, archive, objects, places):
 
 
 @njit(cache=True, nogil=True)
-def put_down(rng, vertices, laws, numbers, pose, relative, there, put, base, face, thetas, places, propose_at):
-    """Write the poses `there` of the vertices `put`; return the proposal's log ratio, NaN where there is none.
+def put_down(rng, vertices, laws, numbers, pose, relative, there, told, places, propose_at):
+    """Write the pose `there` (4, 4) of a vertex; return the proposal's log ratio, NaN where there is none.
 
-    base, face : vertex and face below all of them. thetas : the unknowns that turn them. places : see
-    PlaceMixture.flat. propose_at : address of the kernel's proposal, from old places to new ones.
+    told : the vertex, the vertex and face below it, and the unknown that turns it. places : see PlaceMixture.flat.
+    propose_at : address of the kernel's proposal, from an old place to a new one.
     """
-    count = len(put)
-    old, new, periods, phi = np.empty(3 * count), np.empty(3 * count), np.zeros(3 * count), np.empty((count, 7))
-    for c in range(count):
-        stand(vertices, numbers, pose, relative, base, face, put[c], phi[c])
-        periods[3 * c] = laws[thetas[c], FOLD_PERIOD]
-        for i in range(3):
-            old[3 * c + i] = phi[c, i]
-    log_ratio = call_for_number(propose_at, rng, places, periods, old, new)
+    n, base, face = told[0], told[1], told[2]
+    new, periods, phi = np.empty(3), np.zeros(3), np.empty(7)
+    stand(vertices, numbers, pose, relative, base, face, n, phi)
+    periods[0] = laws[told[3], FOLD_PERIOD]
+    log_ratio = call_for_number(propose_at, rng, places, periods, phi[:3], new)
     if math.isnan(log_ratio):
         return math.nan
-    below = numbers[NOW, base, SIZES:SHAPES]
-    for c in range(count):
-        n = put[c]
-        for i in range(3):
-            phi[c, i] = new[3 * c + i]
-        call_for_nothing(vertices[POSE_AT, n], vertices[CONTACT_CODE, n], UNBOUNDED, below, vertices[KIND, n],
-                         numbers[NOW, n, SIZES:SHAPES], face, vertices[CHILD_FACE, n], phi[c], relative)  # fmt: skip
-        compose(pose[NOW, base], relative, there[c])
+    for i in range(3):
+        phi[i] = new[i]
+    call_for_nothing(vertices[POSE_AT, n], vertices[CONTACT_CODE, n], UNBOUNDED, numbers[NOW, base, SIZES:SHAPES],
+                     vertices[KIND, n], numbers[NOW, n, SIZES:SHAPES], face, vertices[CHILD_FACE, n], phi,
+                     relative)  # fmt: skip
+    compose(pose[NOW, base], relative, there)
     return log_ratio

@@ -17,6 +17,7 @@ from derender.posterior.compiled.evaluate import (
 )
 from derender.posterior.compiled.prior import (
     CONTACT,
+    FOLD_PERIOD,
     HELD,
     INVERSE_AT,
     LIKELIHOOD,
@@ -35,7 +36,7 @@ from derender.posterior.compiled.prior import (
 )
 from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, Part, Tuning
-from derender.posterior.kernels.relocate import mixture_of
+from derender.posterior.kernels.relocate import fitted
 from derender.posterior.space import Space
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
@@ -292,7 +293,7 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
         if kind.form == PLACING:
             propose = address_of(kind.proposal, rng, flat, flat, flat, flat)
             place = address_of(put_down, rng, model.vertices, model.laws, chain.numbers, chain.pose, chain.relative,
-                               chain.moved_pose, members, index, index, members, flat, index)  # fmt: skip
+                               chain.moved_pose[0], members, flat, index)  # fmt: skip
         else:
             propose = address_of(kind.proposal, rng, model.unknowns, model.laws, chain.values, chain.tangents, members,
                                  flat, 0.0)  # fmt: skip
@@ -305,15 +306,11 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
     return calls
 
 
-def objects_below(target: "SceneTarget", objects: Sequence[str]) -> np.ndarray:
-    """Return (B, 4) int64, of each relocated object: its vertex, the vertex and face that it is put on, its theta."""
+def object_below(target: "SceneTarget", name: str) -> tuple[int, int, int, int]:
+    """Return of a relocated object its vertex, the vertex and face that it is put on, and the unknown that turns it."""
     names, addresses = target.template.names, [unknown.address for unknown in target.space.unknowns]
-    rows = []
-    for name in objects:
-        base, face = target.bases[name]
-        theta = addresses.index(f"{name}.contact.theta")
-        rows.append((names.index(name), names.index(base), FEATURE_CODES[face], theta))
-    return np.array(rows, np.int64)
+    base, face = target.bases[name]
+    return names.index(name), names.index(base), FEATURE_CODES[face], addresses.index(f"{name}.contact.theta")
 
 
 def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> Places:
@@ -321,17 +318,14 @@ def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: C
 
     chain : any of the model's; it is left at the last values.
     """
-    chosen = {k: part.block.objects for k, part in enumerate(parts) if kernels[part.type].form == PLACING}
+    chosen = {k: object_below(target, part.block.objects[0]) for k, part in enumerate(parts)
+              if kernels[part.type].form == PLACING}  # fmt: skip
     if not chosen:
         return {}
-    objects = sorted({name for names in chosen.values() for name in names})
-    places = np.empty((len(objects), len(archive), 3))
-    stand_all(model, chain, np.ascontiguousarray(archive, float), objects_below(target, objects).T.copy(), places)
-    seen, found = dict(zip(objects, places, strict=True)), {}
-    for k, names in chosen.items():
-        rows = objects_below(target, names)
-        found[k] = [*rows[0, 1:3], *rows[:, 0], *rows[:, 3]], mixture_of(target, names, seen).flat()
-    return found
+    places = np.empty((len(chosen), len(archive), 3))
+    stand_all(model, chain, np.ascontiguousarray(archive, float), np.array(list(chosen.values())).T.copy(), places)
+    return {k: (told, fitted(seen, (float(model.laws[told[3], FOLD_PERIOD]), 0.0, 0.0)).flat())
+            for (k, told), seen in zip(chosen.items(), places, strict=True)}  # fmt: skip
 
 
 def rescaled(space: Space, parts: list[Part], tuning: Tuning, program: Kernels) -> Kernels:

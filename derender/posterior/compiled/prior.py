@@ -60,8 +60,7 @@ class Kernels(NamedTuple):
     table : (7, K + 1) int64: form, begin of its unknowns, begin of its factor (the last column ends these two), the
         vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes, of what
         keeps them and of what puts objects down.
-    members : flat int64, unknowns; of what puts objects down: the vertex and the face below all of them, their
-        vertices, and the unknowns that turn them.
+    members : flat int64, unknowns; of what puts an object down: see `object_below`.
     factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
         PlaceMixture.flat.
     """

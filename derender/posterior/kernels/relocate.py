@@ -1,4 +1,4 @@
-"""Objects put down anew in the world, where warm-up saw them or at any angle; their children stay where they are.
+"""Objects put down anew in the world, where warm-up saw them; their children stay where they are.
 
 `PlaceMixture` is a density over places of one object, fitted to those that warm-up saw: it follows every mode, however
 narrow.
@@ -6,7 +6,7 @@ narrow.
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from derender.posterior.kernels.base import PLACING, KernelType, kernels
 from derender.posterior.space import Block, Space
 
 if TYPE_CHECKING:
-    from derender.posterior.target import SceneTarget
+    pass
 
 DEGREES = 5  # of freedom of each component: heavier tails than an image's posterior
 NEIGHBOURS = 16  # among the other places; a mode that holds as many has components of its own shape
@@ -28,7 +28,7 @@ UNSEEN = (0.2, 0.02)  # spread of angles and of lengths about the places where t
 class PlaceMixture(NamedTuple):
     """Multivariate t distributions with 5 degrees of freedom and equal weights, one about each of K places.
 
-    A place is D numbers, lengths and angles, such as (angle, x, y) of each of some objects.
+    A place is D numbers, lengths and angles: (angle, x, y) of an object.
     """
 
     centres: np.ndarray  # (K, D) float64
@@ -144,11 +144,10 @@ def seen_place(rng, places, periods, old, new):
     `slide`. With J = |dw / dphi|,
     log ratio = log posterior(new) - log posterior(old) + log q(w) - log q(w') + log J(old) - log J(new)
                 + sum of log |d phi_c' / d phi_c|,
-    of which the last three terms come from putting the objects there (`reattach`); where one would lose its contact
-    there is no density, and the step is refused (as is the way back from there). Several objects are put down by one w
-    of all.
+    of which the last three terms come from putting the object there (`reattach`); where one would lose its contact
+    there is no density, and the step is refused (as is the way back from there).
 
-    old, new : (D,) the objects' places, (angle, x, y) of each; `new` is written.
+    old, new : (D,) the object's places, (angle, x, y); `new` is written.
     """
     size = len(old)
     number = len(places) // (size + size * (size + 1) + 1)
@@ -175,83 +174,16 @@ def seen_place(rng, places, periods, old, new):
     return math.log(mixture_density(places, periods, old)) - math.log(mixture_density(places, periods, new))
 
 
-def mixture_of(target: "SceneTarget", objects: tuple[str, ...], places: Mapping[str, np.ndarray]) -> PlaceMixture:
-    """Return the mixture over the places of one or several objects, given (K, d) places of each by name."""
-    periods = [period for name in objects for period in (target.folds[f"{name}.contact.theta"][1], 0.0, 0.0)]
-    return fitted(np.concatenate([places[name] for name in objects], axis=1), tuple(periods))
-
-
-class PlacingType(KernelType):
-    """Put objects down anew in the world."""
+@kernels.register("relocate")
+class RelocateType(KernelType):
+    """Put an object down anew where warm-up has seen it in the world, and leave what stands on it where it is."""
 
     keeps_children = True
     form = PLACING
+    proposal = seen_place
 
     def applies(self, space: Space, block: Block) -> bool:
         return block.name in space.relocations
 
     def moves(self, space: Space, block: Block) -> Sequence[int]:
         return ()  # to where warm-up was, and nowhere without compiled steps
-
-
-@kernels.register("relocate")
-class RelocateType(PlacingType):
-    """Put an object down anew where warm-up has seen it in the world, and leave what stands on it where it is."""
-
-    proposal = seen_place
-
-
-@kernels.register("relocate-stack")
-class RelocateStackType(RelocateType):
-    """Put some objects of a stack down anew together, and leave what stands on them where it is.
-
-    The step of `relocate` with w the places of all of them. What is hidden below may be seen to fit in two ways of
-    which each needs both objects elsewhere: one at a time none of them can go.
-    """
-
-    options = {"objects": 2}
-
-    def blocks(self, space: Space, options: Mapping[str, float]) -> Sequence[Block]:
-        contacts = {block.objects[0]: block for block in space.blocks if block.name in space.relocations}
-        found = []
-        for name in contacts:
-            stack = [name]
-            while len(stack) < options["objects"] and stack[0] in space.below:
-                stack.insert(0, space.below[stack[0]])
-            if 1 < len(stack) == options["objects"]:
-                blocks = [contacts[one] for one in stack]
-                unknowns = tuple(i for block in blocks for i in block.unknowns)
-                found.append(Block("+".join(block.name for block in blocks), unknowns))
-        return found
-
-
-CLOSEST, FARTHEST = 0.1, 10.0  # shift's length in units of that between two places of the archive
-
-
-@njit(cache=True, nogil=True)
-def turned_place(rng, places, periods, old, new):
-    """Propose a place w' = (angle, x, y) on the floor below the object: any angle, and offsets not far from its own.
-
-    What is half hidden may be seen to fit at two angles, whose offsets are a little apart. The angle is uniform over
-    its period; the shift is the difference of two random places of the archive, times a random factor. Neither looks at
-    the present place, the angles' density is constant and a shift is as likely as its opposite (the two places change
-    roles): q(w' | w) = q(w | w'). With J = |dw / dphi|, as in `relocate`,
-    log ratio = log posterior(new) - log posterior(old) + log J(old) - log J(new) + sum of log |d phi_c' / d phi_c|.
-    """
-    size = len(old)
-    number = len(places) // (size + size * (size + 1) + 1)
-    first, second = int(rng.random() * number), int(rng.random() * number)
-    factor = FARTHEST * math.exp(rng.random() * math.log(CLOSEST / FARTHEST))
-    for i in range(size):
-        if periods[i] > 0.0:
-            new[i] = rng.random() * periods[i]
-        else:
-            new[i] = old[i] + factor * (places[i * number + first] - places[i * number + second])
-    return 0.0
-
-
-@kernels.register("turn")
-class TurnType(PlacingType):
-    """Turn an object to any angle about where it stands, and leave what stands on it where it is."""
-
-    proposal = turned_place
