@@ -18,7 +18,7 @@ from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.priors.bare_image import Shared
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import SIZE, apparent_cube_log_density, make_chart, place_rows
-from derender.structures.draws.faces import MOST_LOST, at_median_unseen, empty_band, true_faces
+from derender.structures.draws.faces import at_median_unseen, true_faces
 
 OFF = 0.003
 COUNT = 4000
@@ -138,32 +138,6 @@ def test_the_most_probable_cube_has_the_mean_of_the_extents_at_which_it_appears(
     chart, values = cube_chart()
     values[chart.slots[0, SIZE:]] = 0.099, 0.104, 0.097
     assert np.allclose(true_faces(None, chart, values[None])[0, chart.slots[0, SIZE:]], 0.1)
-
-
-@pytest.mark.parametrize("ring, width", [(0, 0.0), (2, 0.004), (3, 0.006), (9, MOST_LOST)])
-def test_the_band_without_returns_along_a_silhouette_is_measured(ring, width):
-    mask, empty = np.zeros((2, 60, 60), bool)
-    mask[20:40, 25:45] = True
-    empty[20 - ring : 40 + ring, 25 - ring : 45 + ring] = True
-    depth = np.where(mask, 1.0, 1.5)
-    footprint = np.full(mask.shape, 0.002)
-    assert empty_band(depth, mask, empty & ~mask, footprint) == pytest.approx(width, abs=1e-9)
-    behind = np.where(mask, 1.0, 1.01)  # on a floor: no silhouette
-    assert empty_band(behind, mask, empty & ~mask, footprint) == 0.0
-
-
-def test_a_hidden_face_lies_anywhere_in_the_band_that_its_silhouette_lost():
-    state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.05], [0.1, 0.12, 0.1]), UPRIGHT, False, FLOOR, 0.0)
-    chart, values = make_chart(state, np.eye(4), RULES)
-    lost = np.zeros((1, 3, 2))
-    lost[0, 0, 0] = 0.01  # the face at +x
-    start = rows_of(chart, values[None])[0]
-    likely = rows_of(chart, true_faces(None, chart, values[None], lost))[0]
-    assert likely[0, 13] == pytest.approx(0.105) and likely[0, 14] == start[0, 14]
-    assert likely[0, 10] - start[0, 10] == pytest.approx(0.0025)  # the face at -x stays
-    drawn = rows_of(chart, true_faces(np.random.default_rng(0), chart, np.tile(values, (COUNT, 1)), lost))
-    assert drawn[:, 0, 13].mean() == pytest.approx(0.105, abs=3e-4)
-    assert drawn[:, 0, 13].var() == pytest.approx(2 * OFF**2 + 0.01**2 / 12, rel=0.1)
 
 
 @pytest.mark.parametrize("place, axis, side", [((0.0, -0.32, 0.05), 1, -1.0), ((0.42, 0.0, 0.05), 0, 1.0)])

@@ -7,8 +7,7 @@ offsets. The floor under the solids, which nobody sees, is off in the same way f
 of a cube do its faces say something of each other's offsets: see `chart.apparent_cube_log_density`.
 
 A face that looks away from the camera is told by the silhouette alone. There sensors lose returns, on the solid's side
-and on that of what is behind it, so that where nothing returned the silhouette may be anywhere: the solid is seen as
-far as it returns, and reaches beyond by a share of that band, any share as likely.
+and on that of what is behind it; pixels without one say nothing, so that draws have the silhouette anywhere among them.
 """
 
 from itertools import product
@@ -33,69 +32,12 @@ from derender.structures.draws.chart import (
     Z,
     rows_at,
 )
-from derender.structures.draws.sensor import model_image
 
 if TYPE_CHECKING:
     from derender.structures.draws.refined import Refined
 
-# Metres of a band without returns along a silhouette that may be the solid's, at most: a wider one is a shadow of the
-# projector's, or nothing is there to return; and of a step in depth that makes a silhouette.
-MOST_LOST, STEP = 0.008, 0.02
-FEWEST = 8  # pixels of a silhouette that tell the band
 RIM = np.linspace(-1.0, 1.0, 65)  # places along an edge, in halves of it, that are looked for in the image
 BORDER = 2.0  # pixels along the image's border that do not tell: a prior that would have it nearer puts a face there
-SLANTED = 0.5  # sine of a face's normal with the line of sight below which the silhouette hardly tells the face
-
-
-def lost_at_edges(refined: "Refined") -> np.ndarray:
-    """Return (N, 3, 2) metres by which each solid's faces at + and - may lie beyond where a silhouette shows them.
-
-    Of boxes under sensors whose faces are off (`chart.faces`): round solids tell their size by how they curve, too.
-    """
-    chart, sensor = refined.chart, refined.sensor
-    lost = np.zeros((len(chart.flags), 3, 2))
-    if chart.faces == 0.0 or sensor.empty is None or not sensor.empty.any():
-        return lost
-    depth, label = model_image(chart, refined.values, sensor.camera, sensor.into)
-    for k in np.flatnonzero(chart.flags[:, KIND] == BOX):
-        row = refined.state.rows[k]
-        turn, normals = row[1:10].reshape(3, 3), np.array([1.0, -1.0])
-        centre = chart.floor[:3, :3] @ row[CENTRE:EXTENT] + chart.floor[:3, 3]
-        axes = chart.floor[:3, :3] @ turn
-        band = empty_band(depth, label == k + 1, sensor.empty, depth / sensor.camera.fx)
-        for axis in range(3):
-            for end, sign in enumerate(normals):
-                normal = sign * axes[:, axis]
-                middle = centre + 0.5 * row[EXTENT + axis] * normal
-                across = float(np.linalg.norm(np.cross(normal, middle / np.linalg.norm(middle))))
-                under = (turn @ np.eye(3)[axis])[2] * sign < -SLANTED  # on what bears it
-                if normal @ middle > 0.0 and not under:
-                    lost[k, axis, end] = band / max(across, SLANTED)
-    return lost
-
-
-def empty_band(depth: np.ndarray, mask: np.ndarray, empty: np.ndarray, footprint: np.ndarray) -> float:
-    """Return the mean width in metres of what returned nothing beyond the silhouettes of a solid, MOST_LOST at most.
-
-    depth : (H, W) metres as the scene has it. mask : (H, W) bool, pixels that show the solid. empty : (H, W) bool,
-    without return. footprint : (H, W) metres across a pixel.
-    """
-    widths = []
-    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        beyond = np.roll(depth, -way, axis) - depth > STEP
-        edge = mask & beyond & ~np.roll(mask, -way, axis)
-        edge[(slice(None),) * axis + ((-1 if way > 0 else 0),)] = False  # of the image itself
-        at, wide, going = np.argwhere(edge), np.zeros(int(edge.sum())), np.ones(int(edge.sum()), bool)
-        across = footprint[edge]
-        while len(at) and going.any() and wide[going].min() < MOST_LOST:
-            at[:, axis] += way
-            inside = (at[:, axis] >= 0) & (at[:, axis] < mask.shape[axis])
-            rows, columns = np.clip(at, 0, np.array(mask.shape) - 1).T
-            going &= inside & empty[rows, columns] & (wide < MOST_LOST)
-            wide[going] += across[going]
-        widths.append(np.minimum(wide, MOST_LOST))
-    every = np.concatenate(widths)
-    return float(every.mean()) if len(every) >= FEWEST else 0.0
 
 
 def at_median_unseen(refined: "Refined", best: np.ndarray, drawn: np.ndarray) -> np.ndarray:
@@ -144,13 +86,10 @@ def rim_shows(refined: "Refined", row: np.ndarray, axis: int, sign: float) -> bo
     return False
 
 
-def true_faces(
-    rng: np.random.Generator | None, chart: Chart, values: np.ndarray, lost: np.ndarray | None = None
-) -> np.ndarray:
+def true_faces(rng: np.random.Generator | None, chart: Chart, values: np.ndarray) -> np.ndarray:
     """Return coordinates (n, D) with the faces where they are, of some (n, D) with the faces where they appear.
 
-    What is held to its support stays on it. rng : of the offsets; None: the most probable ones. lost : see
-    `lost_at_edges`; None: nothing is.
+    What is held to its support stays on it. rng : of the offsets; None: the most probable ones.
     """
     if chart.faces == 0.0:
         return values
@@ -164,8 +103,6 @@ def true_faces(
     for k in chart.order:
         slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
         pairs = offsets(3, 2)  # of the faces at + and -, outwards
-        if lost is not None:
-            pairs = pairs + lost[k] * (0.5 if rng is None else rng.random((many, 3, 2)))
         grown, moved = pairs.sum(axis=2), 0.5 * (pairs[..., 0] - pairs[..., 1])
         extents = values[:, slot[SIZE:]]
         if flag[KIND] == CYLINDER:

@@ -21,7 +21,7 @@ from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import Evidence, draw_t, fit, log_t
 from derender.structures.draws.chart import Chart, make_chart, placed, rows_at
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.faces import at_median_unseen, lost_at_edges, true_faces
+from derender.structures.draws.faces import at_median_unseen, true_faces
 from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample, under_blur
 from derender.structures.draws.numbers import numbers_of_draws
 from derender.structures.draws.sensor import (
@@ -121,12 +121,6 @@ class View(NamedTuple):
     observed: np.ndarray  # (H, W)
     into: np.ndarray = np.eye(4)
     shared: bool = False  # whether its neighbouring pixels share noise, so that it is a real sensor's
-    lost: Any = None  # (H, W) bool, where nothing returned; None: where `observed` is NaN
-
-    @property
-    def empty(self) -> np.ndarray:
-        """(H, W) bool, where nothing returned, whatever that shows."""
-        return np.isnan(self.observed) if self.lost is None else self.lost
 
 
 def view_of(seen: Any) -> View:
@@ -144,9 +138,8 @@ def view_of(seen: Any) -> View:
         floor = floor_depth(seen.floor.pose, camera)
         nearest = np.minimum(seen.image.depth, floor) - BEFORE * seen.sigma
         observed = np.where(as_seen & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
-        lost = np.isnan(observed)
-        return View(camera, with_out_of_reach(observed, floor), shared=seen.correlation > CORRELATED, lost=lost)
-    return View(camera, observed)
+        observed = with_out_of_reach(observed, floor)
+    return View(camera, observed, shared=seen.correlation > CORRELATED)
 
 
 def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
@@ -182,8 +175,7 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
         first_sensor(view.camera, view.observed, chart, values, sensor_beliefs(beliefs, view.shared), view.into)
         for view in views
     )
-    others = [other._replace(empty=view.empty) for other, view in zip(others, views[1:], strict=True)]
-    sensor = first._replace(others=tuple(others), empty=views[0].empty)
+    sensor = first._replace(others=tuple(others))
     start = refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
     if not len(state) and all(view.shared for view in views):
         return start  # each pixel says so little of where a floor is that the few just over it would draw it to them
@@ -325,12 +317,11 @@ def structure_posterior(
         densities[best] = refined.log_prior, refined.log_likelihood
     size = values.shape[-1]
     values[best] = at_median_unseen(refined, values[best], values.reshape(-1, size))
-    lost = lost_at_edges(refined)
-    likeliest = true_faces(None, chart, values[best][None], lost)
-    values = true_faces(rng, chart, values.reshape(-1, size), lost).reshape(values.shape)
+    likeliest = true_faces(None, chart, values[best][None])
+    values = true_faces(rng, chart, values.reshape(-1, size)).reshape(values.shape)
     values[best] = likeliest[0]
     state = refined_at(
-        refined.state, chart, true_faces(None, chart, refined.values[None], lost)[0], refined.sensor, 0, 0
+        refined.state, chart, true_faces(None, chart, refined.values[None])[0], refined.sensor, 0, 0
     ).state
     graph = scene_graph(state, floor_pose_of(refined), names, chart.floating)
     addresses, numbers, periods, root = numbers_of_draws(chart, values.reshape(-1, size), graph, names)

@@ -56,7 +56,6 @@ class Sensor(NamedTuple):
     prior: Any = None  # LikelihoodPrior, what is believed of those numbers; None: of each value as much
     into: np.ndarray = np.eye(4)
     others: tuple["Sensor", ...] = ()  # Sensors of the other views, each of one
-    empty: Any = None  # (H, W) bool, where nothing returned, also where that shows something; None: not told
 
     @property
     def returned(self) -> np.ndarray:
