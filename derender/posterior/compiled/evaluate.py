@@ -273,9 +273,8 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
             return taken, k
         members = kernels.members[kernels.table[FIRST, k] : kernels.table[FIRST, k + 1]]
         factor = kernels.factors[kernels.table[FACTOR_FIRST, k] : kernels.table[FACTOR_FIRST, k + 1]]
-        keep, put = kernels.table[KEEP, k], members[:0]  # put : vertices that a relocation puts down
+        keep = kernels.table[KEEP, k]
         if form == PLACING:
-            put = members[:1]
             correction = call_for_number(
                 kernels.table[PLACE_AT, k], rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
                 chain.moved_pose[0], members, factor, kernels.table[PROPOSE_AT, k]
@@ -288,7 +287,7 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
         if keep >= 0 and not math.isnan(correction):
             correction += call_for_number(
                 kernels.table[KEEP_AT, k], model.vertices, model.extents, model.places, laws, values, chain.numbers,
-                chain.pose, chain.marks, engine.parameters, chain.relative, keep, put, chain.moved_pose
+                chain.pose, chain.marks, engine.parameters, chain.relative, keep, form == PLACING, chain.moved_pose[0]
             )  # fmt: skip
         if math.isnan(correction):
             values[NEXT, PRIOR] = -math.inf
@@ -319,25 +318,22 @@ def fold(angle, centre, period):
 
 @njit(cache=True, nogil=True)
 def reattach(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n, put, there):
-    """Write the proposed values of vertices from n on such that those `put` stand `there`, all others as they do now.
+    """Write the proposed values of vertices from n on such that all after n stand as they do now.
 
-    put : vertices, rising, the first is n; there : (S, 4, 4), their poses. Where none are put, the proposed values of
-    vertex n are there already and say where it stands.
+    put : whether n shall stand `there`, (4, 4); else its proposed values say where it stands.
 
     Returns the log of the product of |d phi' / d phi| at fixed motion in the world (see SceneTarget), NaN where one
     would leave its contact.
     """
-    if len(put) == 0:
+    if not put:
         fill(places, values, numbers, marks, parameters, False)
         place(vertices, extents, numbers, pose, scratch, n)
-    log_jacobian, following = 0.0, 0
-    for c in range(n + (len(put) == 0), vertices.shape[1] - 1):
-        parent = vertices[PARENT, c]
-        moves = following < len(put) and put[following] == c
+    log_jacobian = 0.0
+    for c in range(n + (not put), vertices.shape[1] - 1):
+        parent, moves = vertices[PARENT, c], put and c == n
         if not moves and not marks[DIRTY, parent]:  # its axes are as they were
             continue
-        seen_from(pose[NEXT, parent], there[following] if moves else pose[NOW, c], scratch)
-        following += moves
+        seen_from(pose[NEXT, parent], there if moves else pose[NOW, c], scratch)
         own, phi = numbers[NOW, c], numbers[NEXT, c]
         on, by = vertices[PARENT_FACE, c], vertices[CHILD_FACE, c]
         size, child_size = numbers[NEXT, parent, SIZES:SHAPES], own[SIZES:SHAPES]

@@ -300,8 +300,8 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
         if kind.keeps_children:
             vertex = target.template.names.index(part.block.objects[0])
             keep = address_of(reattach, model.vertices, model.extents, model.places, model.laws, chain.values,
-                              chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, members,
-                              chain.moved_pose)  # fmt: skip
+                              chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, True,
+                              chain.moved_pose[0])  # fmt: skip
         calls.append(Calls(propose, place, keep, vertex))
     return calls
 
