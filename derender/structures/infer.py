@@ -19,6 +19,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
+from derender.results.check import LEAST_FLOOR
 from derender.results.fit import Explanation
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
@@ -317,7 +318,10 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     seen = observations[0]
     settled = all(each.agreed for each in observations) and not extras.get("spots")
     settled = settled and bool(extras.get("weighed", True))
-    whole = missed.no_floor if seen.no_floor else missed.settled if settled else missed.open
+    floor, behind = seen.floor.inliers.mean(), seen.behind.mean()
+    alone = len(observations) == 1  # what stands on other planes is told with them
+    lost = seen.no_floor or (alone and floor < LEAST_FLOOR * (floor + behind))
+    whole = missed.no_floor if lost else missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
     found = 1.0 - missed.few * np.exp(-np.array(extras.get("pixels", [])) / missed.pixels)

@@ -114,7 +114,8 @@ def test_a_plane_alone_has_no_rivals(rng):
 
 
 def test_what_may_stand_on_another_floor_may_be_missed():
-    seen = SimpleNamespace(correlation=0.0, agreed=True, no_floor=False, rivals=())
+    seen = SimpleNamespace(correlation=0.0, agreed=True, no_floor=False, rivals=(), behind=np.zeros(4, bool),
+                           floor=SimpleNamespace(inliers=np.ones(4, bool)))  # fmt: skip
     missed = Missed()
     alone = missed_by([seen], {}, missed, 1.0)
     seen.rivals = (Rival((0.0, -1.0, 0.0, 0.5), 0.3),)

@@ -113,13 +113,19 @@ def test_no_answer_is_surer_than_the_search():
 
     def told(part=None, explained=1.0, **seen):
         part = {"spots": [], "pixels": [300.0]} if part is None else part
-        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, "rivals": (), **seen})
+        half, none = np.arange(10) < 5, np.zeros(10, bool)
+        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, "rivals": (), "behind": none,
+                                  "floor": SimpleNamespace(inliers=half), **seen})  # fmt: skip
         return missed_by((seen,), part, missed, explained)
 
     assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()
     assert told({"spots": [[0.1, 0.2, 0.5, 0.6]], "pixels": [300.0]}) == pytest.approx(missed.open, abs=1e-6)
     assert told({"pixels": [300.0], "weighed": False}) == pytest.approx(missed.open, abs=1e-6)  # by --method map
     assert told(agreed=False) == pytest.approx(missed.open, abs=1e-6)
+    most = (
+        np.arange(10) < 9
+    )  # a table before a floor that was found farther away: that there is nothing was said at .995
+    assert told(behind=most) == told(no_floor=True) and told(behind=np.arange(10) < 4) == told()
     assert told(no_floor=True) == pytest.approx(missed.no_floor, abs=1e-6) and missed.no_floor > missed.open
     one = missed.few * np.exp(-30.0 / missed.pixels)
     several = told({"spots": [], "pixels": [30.0, 300.0, 30.0]})

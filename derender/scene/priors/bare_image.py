@@ -52,7 +52,7 @@ class Missed:
 
     settled: float = 0.005
     open: float = 0.12  # where not
-    no_floor: float = 0.5  # where nothing was found to stand on
+    no_floor: float = 0.5  # where nothing was found to stand on, or a floor that shows little
     sensor: float = 0.1  # of a real sensor's image
     unexplained: float = 0.05  # share of its pixels that solids do not explain at which e times fewer answers are right
     few: float = 0.3  # of each solid, did it show in no pixel
