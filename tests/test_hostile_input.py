@@ -4,6 +4,7 @@ import io
 import json
 import os
 import time
+import warnings
 import zipfile
 from types import SimpleNamespace
 
@@ -201,7 +202,7 @@ def test_meshes_beyond_limits_are_told(tmp_path, monkeypatch):
     with pytest.raises(DerenderError, match="finite|flat"):
         load_mesh(path)
     path.write_text("v 1e22 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
-    with pytest.raises(DerenderError, match="too far away"):
+    with pytest.raises(DerenderError, match="too far away"), warnings.catch_warnings(action="error"):
         load_mesh(path)
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(DerenderError, match="flat"):

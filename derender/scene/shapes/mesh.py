@@ -63,7 +63,8 @@ def _load(path: str, hull: bool, stamp: int) -> LoadedMesh:
     import trimesh
 
     try:
-        mesh = trimesh.load_mesh(path)
+        with np.errstate(invalid="ignore"):  # what is no number is told by fit_box
+            mesh = trimesh.load_mesh(path)
         if not isinstance(mesh, trimesh.Trimesh):
             mesh = mesh.to_mesh() if hasattr(mesh, "to_mesh") else None
     except Exception as error:  # trimesh's readers raise whatever the garbage in the file provokes
