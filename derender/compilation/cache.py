@@ -112,8 +112,10 @@ def told(value: Any) -> str:
         return f"{value.dtype} {value.shape} {value.tobytes()!r}"
     if isinstance(value, CodeType):
         return f"{value.co_code!r} {value.co_varnames} {value.co_names} {[told(each) for each in value.co_consts]}"
-    if isinstance(value, Late | ModuleType):
-        return _source(value.module if isinstance(value, Late) else value.__name__)
+    if isinstance(value, Late):
+        return f"{value.name} {_source(value.module)}"
+    if isinstance(value, ModuleType):
+        return _source(value.__name__)
     if isinstance(value, tuple):
         return str([sorted(each) if isinstance(each, set) else each for each in value])
     named = getattr(value, "py_func", value)

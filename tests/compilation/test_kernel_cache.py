@@ -153,6 +153,12 @@ def test_a_change_of_what_is_compiled_in_is_noticed_and_one_of_words_is_not(pack
     assert changed("first: int\n    second", "second: int\n    first") == ["76", "False"]
 
 
+def test_what_only_numba_can_make_is_known_by_its_name_and_its_file():
+    """Two of one file under each other's names would have been taken for what they were."""
+    more, less = cache.late("derender.render.raycast.lanes", "add", "subtract")
+    assert cache.told(more) != cache.told(less) != cache.told(cache.Late("derender.errors", "subtract"))
+
+
 def test_the_first_of_many_processes_says_that_it_compiles(monkeypatch, capsys):
     """The first batch on a machine once said nothing for as long as a minute."""
     monkeypatch.setattr(multiprocessing, "parent_process", lambda: multiprocessing.current_process())
