@@ -75,13 +75,8 @@ def of_one_solid(
     steps = quick_steps(int(pixels_of(best)[i]))
 
     def likely(states: list[State]) -> list[Refined]:
-        found: list[Refined] = []
-        for state in states:
-            if still_bears(best, state, i):
-                trial = tried(rng, best, state, [i], rules, steps)
-                if trial is not None and all_seen(trial):
-                    found.append(trial)
-        return found
+        found = (tried(rng, best, state, [i], rules, steps) for state in states if still_bears(best, state, i))
+        return [trial for trial in found if trial is not None]
 
     found = likely([*changes(best, i), *other_shapes(best, i, shapes), *reached_down(best, i)])
     found += likely(as_boxes(best, likeliest_of_each(found), i))
@@ -89,12 +84,8 @@ def of_one_solid(
     least = PROPPING if propped else PRUNE_THRESHOLD
     upright = uprighted(best.state, i)
     on_it = [] if upright is None else carried_upright(best.state, i)
-    several = []
-    for state in [*propped, *([] if upright is None else [upright]), *as_two(best, i, shapes)]:
-        places = [i, *on_it, *range(len(best.state), len(state))]
-        trial = tried(rng, best, state, places, rules, least=least)
-        if trial is not None and all_seen(trial):
-            several.append(trial)
+    several = [tried(rng, best, state, [i, *on_it, *range(len(best.state), len(state))], rules, least=least)
+               for state in [*propped, *([] if upright is None else [upright]), *as_two(best, i, shapes)]]  # fmt: skip
     removed = unclimbed(best.state.without(i), floor_pose_of(best), best.sensor, rules)
     others: list[Weighed] = []
     if height(removed) > height(best) - PROMISING:
@@ -108,14 +99,15 @@ def of_one_solid(
     others += [of_block(rng, Block(trial, places), own) for trial, places in candidates]
     own = Block(best, [i, *on_it]) if on_it else own
     others += [of_block(rng, Block(trial, [i, *on_it, *range(len(best.state), len(trial.state))]), own)
-               for trial in likeliest_of_each(several)]  # fmt: skip
+               for trial in likeliest_of_each([trial for trial in several if trial is not None])]  # fmt: skip
     return others
 
 
 def tried(rng: np.random.Generator, best: Refined, state: State, places: list[int], rules: Rules, steps: int = QUICK,
           least: float = PRUNE_THRESHOLD) -> Refined | None:  # fmt: skip
     """Return the Refined of a state in which some solids, at `places`, are climbed, the others as in the best, under
-    the sensor that it suggests itself where it is promising; None where it is more than `least` nats below the best.
+    the sensor that it suggests itself where it is promising; None where it is more than `least` nats below the best,
+    or some solid neither shows nor carries any.
 
     Of 449 structures in 50 images of 64 columns 36 came out otherwise from one of three climbs: some 2 nats below the
     best, or 70. What was pruned so was never weighed, and the best surer than it is. Not where neighbouring pixels
@@ -127,7 +119,7 @@ def tried(rng: np.random.Generator, best: Refined, state: State, places: list[in
         trial = max([trial, *(climb() for _ in range(AGAIN))], key=height)
     if height(trial) > height(best) - max(PROMISING, least):
         trial = with_own_sensor(rng, trial, places, WORTHWHILE)
-    return trial if height(trial) > height(best) - least else None
+    return trial if height(trial) > height(best) - least and all_seen(trial) else None
 
 
 def as_boxes(best: Refined, trials: list[Refined], i: int) -> list[State]:
@@ -285,8 +277,5 @@ def combined(rng: np.random.Generator, best: Refined, changes: Changes, rules: R
         state = state.changed(k, row=own.rows[k], form=own.forms[k], cube=own.cubes[k], parent=own.parents[k],
                               bottom=own.bottoms[k])  # fmt: skip
     solids = sorted(k for k, _ in changes)
-    trial = at_mode(rng, state, floor_pose_of(best), best.sensor, rules, QUICK, solids)
-    trial = with_own_sensor(rng, trial, solids, WORTHWHILE)
-    if height(trial) <= height(best) - PRUNE_THRESHOLD or not all_seen(trial):
-        return None
-    return of_block(rng, Block(trial, solids), Block(best, solids))
+    trial = tried(rng, best, state, solids, rules)
+    return None if trial is None else of_block(rng, Block(trial, solids), Block(best, solids))
