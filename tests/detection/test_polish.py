@@ -42,7 +42,7 @@ def test_the_nearest_pixels_of_a_reduced_image():
     assert nearest_pixels(4, 3, 4, 3).tolist() == [0, 1, 2, 3]
 
 
-WHOLE = Camera.from_field_of_view(320, 240)
+WHOLE = Camera.from_field_of_view(640, 480)
 TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0.5, 0.75], [0, 0, 0, 1]])
 
 
@@ -54,7 +54,7 @@ def test_single_pixels_are_what_the_reduced_camera_sees_and_smoothed_blocks_are_
                     np.array([np.zeros(3), [0.1, 0.12, 0.12]]), np.full(2, -1, np.int32))  # fmt: skip
     depth, _ = render_depth(solids, WHOLE)
     seen = observe(depth, WHOLE)
-    assert seen.factor == 2
+    assert seen.factor == 4
     exact, _ = render_depth(solids, Camera(**seen.camera))
     assert np.abs(seen.single - exact).max() < 1e-9
     assert np.abs(seen.image.depth - exact).max() > 0.001  # where an edge runs through a block
@@ -63,10 +63,10 @@ def test_single_pixels_are_what_the_reduced_camera_sees_and_smoothed_blocks_are_
 def test_single_pixels_without_a_return_stay_without():
     bare = Solids(np.array([PLANE], np.int32), TABLE[None], np.zeros((1, 3)), np.full(1, -1, np.int32))
     depth, _ = render_depth(bare, WHOLE)
-    depth[100, 100] = np.nan
-    depth[102, 102] = 0.0
+    depth[101, 101] = np.nan
+    depth[105, 105] = 0.0
     single = observe(depth, WHOLE).single
-    assert np.isnan(single[50, 50]) and np.isnan(single[51, 51]) and np.isnan(single).sum() == 2
+    assert np.isnan(single[25, 25]) and np.isnan(single[26, 26]) and np.isnan(single).sum() == 2
 
 
 @pytest.mark.parametrize("slip", [0.0, 1e-17, -1e-17])

@@ -15,16 +15,16 @@ from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
 NOISE = 0.001  # metres
-WHOLE = Camera.from_field_of_view(320, 240)
+WHOLE, WIDE = Camera.from_field_of_view(320, 240), Camera.from_field_of_view(640, 480)
 TABLE = translation(0.0, 0.02, 0.75) @ rotation_x(np.radians(125.0))
 SIZE = np.array([0.11, 0.14, 0.06])
 
 
-def box_image(seed, blurred):
-    """Return a noisy image (240, 320) of a box on a table, and the same without noise and blur."""
+def box_image(seed, blurred, camera=WHOLE):
+    """Return a noisy image (H, W) of a box on a table, the same without noise and blur, and its label."""
     poses = np.stack([TABLE, TABLE @ translation(0.0, 0.0, 0.03) @ rotation_z(0.6)])
     solids = Solids(np.array([PLANE, BOX], np.int32), poses, np.stack([np.zeros(3), SIZE]), np.full(2, -1, np.int32))
-    exact, label = render_depth(solids, WHOLE)
+    exact, label = render_depth(solids, camera)
     noise = NOISE * np.random.default_rng(seed).standard_normal(exact.shape)
     return blur(exact, blurred) + noise, exact, label
 
@@ -64,16 +64,25 @@ def test_a_reduced_image_shows_no_mixture_of_two_depths():
     """What half a pixel of blur mixed is undone, beside small jumps too, with hardly more noise than all pixels have:
     with twice as much the intervals of turns held the truth in 73 %. Of what a wider one mixed nothing is told.
     """
-    image, exact, _ = box_image(2, 0.5)
-    seen = observe(image, WHOLE)
-    there, beside = exact[::2, ::2], blurred_jumps(image, NOISE)[0][::2, ::2]
-    mixed = np.abs(blur(exact, 0.5) - exact)[::2, ::2] > NOISE
-    assert seen.factor == 2
+    image, exact, _ = box_image(2, 0.5, WIDE)
+    seen = observe(image, WIDE)
+    there, beside = exact[1::4, 1::4], blurred_jumps(image, NOISE)[0][1::4, 1::4]
+    mixed = np.abs(blur(exact, 0.5) - exact)[1::4, 1::4] > NOISE
+    assert seen.factor == 4
     assert np.abs(seen.single - there)[~beside].max() < 6.0 * NOISE  # of 19,200 normal numbers none is beyond 6
     for some in (beside, mixed):
         assert some.sum() > 50 and np.sqrt(np.mean((seen.single - there)[some] ** 2)) < 1.5 * NOISE
-    left_out = np.isnan(observe(box_image(2, 0.8)[0], WHOLE).single)
+    left_out = np.isnan(observe(box_image(2, 0.8, WIDE)[0], WIDE).single)
     assert 0 < left_out.sum() < 0.03 * left_out.size
+
+
+def test_all_pixels_of_a_small_image_are_drawn_from():
+    """Of 70 images of 320 columns, half of them left out, 90 % intervals of places held the truth in 86 %, where the
+    structure was right; drawn from whole in 91 %."""
+    image, *_ = box_image(2, 0.5)
+    seen = observe(image, WHOLE)
+    assert seen.factor == 2 and np.array_equal(seen.single, image)
+    assert seen.single_camera["fx"] == WHOLE.fx and seen.single_camera["cx"] == WHOLE.cx
 
 
 def test_beside_a_horizon_what_is_undone_may_lie_behind_the_camera():

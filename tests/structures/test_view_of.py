@@ -44,8 +44,8 @@ def observation(correlation):
     single = depth.copy()
     single[3, 3] = single[20, 12] = np.nan
     return SimpleNamespace(
-        camera=CAMERA, single=single, bend=None, correlation=correlation, things=(), behind=behind, image=image,
-        floor=SimpleNamespace(pose=POSE, inliers=inliers), sigma=np.full(depth.shape, NOISE),
+        factor=1, single=single, single_camera=CAMERA, bend=None, correlation=correlation, things=(), behind=behind,
+        image=image, floor=SimpleNamespace(pose=POSE, inliers=inliers), sigma=np.full(depth.shape, NOISE),
     )  # fmt: skip
 
 
@@ -62,6 +62,14 @@ def test_what_is_no_part_of_the_scene_bounds_it():
     bounds = -view.observed[~plain & returned]
     nearest = np.minimum(seen.image.depth, floor_depth(POSE, view.camera))[~plain & returned]
     assert np.allclose(bounds, nearest - BEFORE * NOISE)
+
+
+def test_what_a_smaller_image_says_of_the_background_holds_for_each_pixel():
+    seen = observation(0.8)
+    twice = {key: 2 * value for key, value in CAMERA.items()}
+    whole = {"single": np.kron(seen.single, np.ones((2, 2))), "factor": 2, "single_camera": twice}
+    drawn_from = view_of(SimpleNamespace(**{**vars(seen), **whole})).observed
+    assert np.allclose(drawn_from[::2, ::2], view_of(seen).observed, equal_nan=True)
 
 
 def test_an_image_of_independent_noise_shows_a_scene_all_over():

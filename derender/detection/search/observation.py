@@ -51,6 +51,9 @@ from derender.scene.priors.bare_image import Floors
 CORRELATED = 0.3
 MOST_SHARED = 0.98  # of the noise: of a bent floor neighbours would share all of it, and more
 AWAY = 0.05  # metres, seen from USUAL, off what stands on it from which on a real sensor's floor is as it is seen
+# Columns of an image of independent noise up to which all its pixels are drawn from where the search looks at half as
+# many: where a jump lies within a pixel its blur tells, which no blur of the pixels of a smaller image explains.
+MOST_DRAWN = 320
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
 MARGIN = 0.01  # metres, seen from USUAL, beyond the outline of the visible floor that still count as over it
 LOWEST = 0.004  # metres over the floor from which on something stands on it; less of it where it is nearer than USUAL
@@ -78,8 +81,8 @@ class Observation(NamedTuple):
     bend : (H, W) metres that were added to the depths to make the floor a plane, see `bend_of`; None: none.
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
         it is seen.
-    single : (H, W) metres, NaN = no return or left out: the pixels of the image as it came that those of `image` stand
-        for, but those beside jumps of a blurred image that is reduced.
+    single : (H, W) metres, NaN = no return or left out: the pixels of the image as it came that what is found is drawn
+        from: all, or those that the pixels of `image` stand for but those beside jumps of a blurred image.
     """
 
     image: Image  # Image in the floor frame, at working resolution
@@ -94,6 +97,7 @@ class Observation(NamedTuple):
     background: float  # share of the pixels that show what is neither floor nor solid, and is taken as it is seen
     behind: np.ndarray  # (H, W) bool, those pixels; not those of the floor that are taken as they are seen
     single: np.ndarray
+    single_camera: dict
     beyond: np.ndarray  # (H, W) metres by which points lie beyond the outline of the visible floor, negative over it
     backdrop: bool  # whether that is a plane that would have been the floor, where there is to be none
     no_floor: bool = False
@@ -151,7 +155,7 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     believed = bare_image().loose.floor if believed is None else believed
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
-    whole = depth
+    whole, whole_camera = depth, camera
     factor = reduced_by(whole, widest)
     sigma = pixel_noise(whole)
     beside, blurred = blurred_jumps(whole, sigma) if factor > 1 else (np.zeros(whole.shape, bool), 0.0)
@@ -173,6 +177,9 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
         seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
         seen = likeliest(depth, camera, factor, gravity, rounding, floating, believed)
+    if seen.correlation <= CORRELATED and factor == 2 and reduced_by(whole, MOST_DRAWN) == 1:
+        whole, camera, _ = reduce(whole, whole_camera, whole.shape[1])
+        return seen._replace(single=whole, single_camera=camera)
     # what a real sensor shows at its edges is no mixture by a blur alone
     whole = np.where(beside, np.nan, whole) if seen.correlation > CORRELATED else unmixed(whole, beside, blurred, sigma)
     return seen._replace(single=single_pixels(whole, factor))
@@ -338,7 +345,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
         image.floor[away] = image.depth[away]
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
-                       depth, beyond_edge, backdrop is not None)  # fmt: skip
+                       depth, camera, beyond_edge, backdrop is not None)  # fmt: skip
 
 
 def nearest_pixels(count: int, factor: int, among: int, others: int) -> np.ndarray:
@@ -349,6 +356,8 @@ def nearest_pixels(count: int, factor: int, among: int, others: int) -> np.ndarr
 
 def of_whole_image(mask: np.ndarray, seen: Observation, shape: tuple[int, int]) -> np.ndarray:
     """Return what is known of each pixel of an Observation's image, (h, w), of the image (H, W) as it came."""
+    if shape == mask.shape:
+        return mask
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
     return mask[rows[:, None], columns]

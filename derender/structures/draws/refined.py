@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
-from derender.detection.search.observation import CORRELATED
+from derender.detection.search.observation import CORRELATED, of_whole_image
 from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
 from derender.detection.solids.graph import scene_graph
 from derender.detection.solids.misfit import AS_SEEN
@@ -128,16 +128,17 @@ def view_of(seen: Any) -> View:
 
     Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`).
     """
-    camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
+    camera = Camera(**{k: seen.single_camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
     observed = seen.single  # what all pixels of a block say is bent where an edge runs through it
+    there = partial(of_whole_image, seen=seen, shape=observed.shape)
     if seen.bend is not None:
-        observed = observed + seen.bend
+        observed = observed + there(seen.bend)
     if seen.correlation > CORRELATED or seen.things or background_share(seen) > MOST_BACKGROUND:
         as_seen = (seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN)
         as_seen &= ~seen.floor.inliers | seen.behind  # what lies on the floor's plane tells where that is
         floor = floor_depth(seen.floor.pose, camera)
-        nearest = np.minimum(seen.image.depth, floor) - BEFORE * seen.sigma
-        observed = np.where(as_seen & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
+        nearest = np.minimum(there(seen.image.depth), floor) - BEFORE * there(seen.sigma)
+        observed = np.where(there(as_seen) & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
         observed = with_out_of_reach(observed, floor)
     return View(camera, observed, shared=seen.correlation > CORRELATED)
 
@@ -231,7 +232,8 @@ def settled(rng: np.random.Generator, refined: Refined, tries: Any = THREADS) ->
     Not where the noise grows with depth: such sensors have outliers at edges of their own.
     """
     best = with_sensor_refitted(rng, refined)
-    if tries == 1 or not any(has_outliers(view) for view in best.sensor.views):
+    outliers = (view.likelihood.name == "robust" and view.values["sigma_growth"] == 0.0 for view in best.sensor.views)
+    if tries == 1 or not any(outliers):
         return best
 
     def hot(stream):
@@ -241,11 +243,6 @@ def settled(rng: np.random.Generator, refined: Refined, tries: Any = THREADS) ->
 
     tries = in_threads(rng, [hot] * THREADS)
     return max([best, *tries], key=lambda each: each.log_likelihood - robust_offset(each.sensor))
-
-
-def has_outliers(view: Sensor) -> bool:
-    """Whether a Sensor of one view has outliers that a better state may not have."""
-    return view.likelihood.name == "robust" and view.values["sigma_growth"] == 0.0
 
 
 def robust_offset(sensor: Sensor) -> float:
