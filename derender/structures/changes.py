@@ -230,11 +230,8 @@ def reached_down(best: Refined, i: int) -> list[State]:
 
 
 def is_held(state: State, i: int) -> bool:
-    """Whether forces where solid `i` touches others can hold it, friction helping.
-
-    The floor is among them only where it is its parent: one on another solid that may reach down to the floor, or may
-    not, is held by that or hangs. That both hold it is the structure in which it stands on the floor.
-    """
+    """Whether forces where solid `i` touches others can hold it, friction helping; the floor's where it is the parent:
+    that both hold it is the structure on the floor."""
     rows = state.rows.copy()
     if state.parents[i] != FLOOR:
         rows[:, 12] += max(2.0 * REACH - lowest(rows[i]), 0.0)  # clear of the floor
