@@ -54,6 +54,17 @@ def test_a_stack_that_the_search_tells_as_one_can_or_as_a_thing_is_two():
         np.testing.assert_allclose(found.rows[0, 13], 0.08, atol=0.006)
 
 
+def test_what_shows_beyond_a_solid_is_no_part_of_the_stack_in_its_place():
+    """Beside the upper one, where the solid that stood for both hides it, the floor shows."""
+    lower, upper = (0.1, 0.05, 0.06), (0.04, 0.04, 0.11)
+    seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, lower, None), (BOX, 0.025, 0.0, upper, None))
+    x, y, _ = np.quantile(seen.points[seen.mask], (0.02, 0.98), axis=0).mean(axis=0)
+    box = make_row(BOX, np.eye(3), [x, y, 0.5 * upper[2]], (*lower[:2], upper[2]))
+    _, found, _ = with_stacks(np.random.default_rng(0), seen, State().add(box, UPRIGHT, False), settings)
+    assert found.parents == [FLOOR, 0]
+    np.testing.assert_allclose(found.rows[:, 15], [0.06, 0.05], atol=0.006)  # their heights
+
+
 def test_what_is_one_solid_or_no_solid_stays_so():
     seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, (0.07, 0.08, 0.11), None))
     for there, state in (as_can(seen, (0.08, 0.08, 0.11)), as_thing(seen)):
