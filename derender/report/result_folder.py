@@ -139,9 +139,8 @@ def judged(
     report = report_of(
         posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost, shown=page
     )
-    return replace(
-        posterior, meta={**posterior.meta, **judgement(report.doubts, posterior.best_graph(), report.fit)}
-    ), report
+    judged_so = judgement(report.doubts, posterior.best_graph(), report.fit)
+    return replace(posterior, meta={**posterior.meta, **judged_so}), report
 
 
 def likelihood_at_best(likelihood: LikelihoodPrior, part: StructurePosterior) -> LikelihoodPrior:

@@ -158,8 +158,7 @@ def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
 
 
 def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np.ndarray) -> list[Doubt]:
-    """Return a doubt about windows of pixels that are together farther off the scene than noise brings any of an image,
-    but for what turned out to be background.
+    """Return a doubt about windows of pixels, but of background, that are off the scene by more than noise brings any.
 
     (Of 107 answers to images of white noise 15 had such: 13 of these were wrong, of the other 92 nine.)
     """
@@ -261,18 +260,18 @@ def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Dou
         outline = int((mask & ~binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         share_cut = cut / max(outline + cut, 1)
-        told = []
+        about = (region,), (name,)
         if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
-            told.append((f"nothing returned from {percent(missing)} of {name}, {region.where}", True))
+            doubts.append(Doubt(f"nothing returned from {percent(missing)} of {name}, {region.where}", True, *about))
         elif fitting < LEAST_FITTING:
             words = f"{name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
-            told.append((words, True))
+            doubts.append(Doubt(words, True, *about))
         if filled > FILLING:
-            told.append((f"{name} fills {percent(filled)} of the image, so that little shows what it stands on", True))
+            words = f"{name} fills {percent(filled)} of the image, so that little shows what it stands on"
+            doubts.append(Doubt(words, True, *about))
         elif share_cut > CUT:
             words = f"{name} is cut by the image's border: how big it is beyond is a guess"
-            told.append((words, share_cut > MOST_CUT))
-        doubts += [Doubt(words, serious, (region,), (name,)) for words, serious in told]
+            doubts.append(Doubt(words, share_cut > MOST_CUT, *about))
     return doubts
 
 

@@ -132,13 +132,11 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     bad = [row for row in rows if doubtful(row)]
     if bad:
         row = max(bad, key=lambda row: np.nan_to_num(row["r_hat"]))
-        over = f" about {row['address']}:"
-        if np.isfinite(row["r_hat"]):
-            over = f": R-hat of {row['address']} is {row['r_hat']:.3f},"
-        draws_told = f"{row['ess_bulk']:.0f} effective draws; --draws {enough_draws(rows)} would do"
+        r_hat = f"R-hat {row['r_hat']:.3f}, " if np.isfinite(row["r_hat"]) else ""
+        words = f"the chains disagree about {row['address']}: {r_hat}{row['ess_bulk']:.0f} effective draws"
         names = {row["address"].partition(".")[0] for row in bad}
         own = names if names <= set(posterior.best_part.graph.names) else None  # else of the root or the likelihood
-        told.append(Doubt(f"the chains disagree{over} {draws_told}", about=own))
+        told.append(Doubt(f"{words}; --draws {enough_draws(rows)} would do", about=own))
     return (*map(Doubt, doubts), *told)
 
 
