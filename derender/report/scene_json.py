@@ -16,9 +16,8 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
 
     Returns {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
     (results/trust.py) `explained`, `trusted` and `doubts`, and `trusted` of each object; of an object, `size` is the
-    three full extents along its own axes in metres, None for what has none; `size_interval` their 90 % intervals,
-    likewise; `pose` is 4x4 row-major, object to camera; `supports`, where there, names what it rests on besides its
-    parent.
+    three full extents along its own axes in metres, None for what has none; `size_interval` their 90 % intervals;
+    `pose` is 4x4 row-major, object to camera; `supports`, where there, names what it rests on besides its parent.
     """
     poses, meta = graph.poses(), {} if posterior is None else posterior.meta
     intervals = size_intervals(posterior) if posterior is not None else {}
