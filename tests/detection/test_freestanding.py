@@ -28,7 +28,7 @@ def test_what_stands_free_is_told_though_nothing_is_known_that_bears_it():
     assert graph.names == ("thing_1", "thing_2") and found.meta["no_floor"]
     assert np.allclose(np.sort(graph.body("thing_1").size())[1:], 30 / 140 * 0.5, rtol=0.1)
     assert (found.explanation.label[slabs[1][:2]] == 1).mean() > 0.9
-    assert 0.8 < found.object_probability("thing_1") < 0.99  # all of its outline stands out
+    assert 0.7 < found.object_probability("thing_1") < 0.99  # all of its outline stands out; it explains little
 
 
 def test_what_returns_in_dots_only_is_told_too():
