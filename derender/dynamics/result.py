@@ -111,7 +111,7 @@ class Answer:
         header = json.dumps({"version": __version__, "told": self.told, **made})
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             arrays = {name: values[None] for name, values in self.draws.items()}
-            np.savez_compressed(file, header=np.array(header), **arrays)  # type: ignore[arg-type]
+            np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
 
 
 # A body rests where it is slower than RESTS (turning: by its size) in so many intervals on end.

@@ -5,7 +5,10 @@ unknowns, and their draws. With a given structure there is one part; structure i
 their posterior probabilities.
 """
 
+import json
 import math
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,16 +17,22 @@ from typing import Any
 import numpy as np
 
 from derender import __version__
-from derender.archive import read_archive, write_archive
+from derender.atomic import atomic_path
+from derender.camera.intrinsics import Camera
 from derender.document import document_from, document_text
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 from derender.results.fit import Explanation
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.graph import SceneGraph, Vertex
 
-FORMAT = 3  # of posterior.npz
+FORMAT = 2  # of posterior.npz
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
 NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
+# What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
+UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError,
+              NotImplementedError, OverflowError, RuntimeError, MemoryError, zipfile.BadZipFile,
+              zlib.error)  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -226,8 +235,17 @@ class Posterior:
                     "extras": _plain(part.extras),
                 }
             )
-        made = {"seed": self.seed, "command": self.command, "version": self.version}
-        write_archive(path, FORMAT, {**made, "meta": _plain(self.meta), "parts": headers}, arrays)
+        header = {
+            "format": FORMAT,
+            "seed": self.seed,
+            "command": self.command,
+            "version": self.version,
+            "meta": _plain(self.meta),
+            "parts": headers,
+        }
+        text = json.dumps(header, sort_keys=True)
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, header=np.frombuffer(text.encode(), np.uint8), **arrays)
 
 
 def load(path: str | Path) -> Posterior:
@@ -238,32 +256,37 @@ def load(path: str | Path) -> Posterior:
     if not path.exists():
         raise DerenderError("there is no posterior here", path, "derender infer IMAGE -o DIR writes one")
     try:
-        header, arrays = read_archive(path, FORMAT)
-    except DerenderError as fault:
-        what = f"not a posterior written by derender ({fault.what})"
-        raise DerenderError(what, path, "give a DIR that derender infer of this version made") from fault
-    parts = tuple(
-        StructurePosterior(
-            scene_of(part["scene"], part["objects"]),
-            tuple(part["addresses"]),
-            arrays[f"values_{number}"],
-            arrays[f"log_prior_{number}"],
-            arrays[f"log_likelihood_{number}"],
-            part["weight"],
-            tuple(part["periods"]),
-            arrays.get(f"root_pose_{number}"),
-            part["extras"],
-            part["weight_error"],
-            None if part["weight_interval"] is None else tuple(part["weight_interval"]),
-        )
-        for number, part in enumerate(header["parts"])
-    )
+        with np.load(path, allow_pickle=False) as file:
+            header = check_header(parse_json(bytes(file["header"])), FORMAT)
+            parts = tuple(
+                StructurePosterior(
+                    scene_of(part["scene"], part["objects"]),
+                    tuple(part["addresses"]),
+                    file[f"values_{number}"],
+                    file[f"log_prior_{number}"],
+                    file[f"log_likelihood_{number}"],
+                    part["weight"],
+                    tuple(part["periods"]),
+                    file[f"root_pose_{number}"] if f"root_pose_{number}" in file.files else None,
+                    part["extras"],
+                    part.get("weight_error", 0.0),
+                    None if part.get("weight_interval") is None else tuple(part["weight_interval"]),
+                )
+                for number, part in enumerate(header["parts"])
+            )
+            check_parts(parts)
+    except UNREADABLE as fault:
+        reason = f" ({fault.what})" if isinstance(fault, DerenderError) else ""
+        what = f"not a posterior written by derender{reason}"
+        raise DerenderError(what, path, "give a DIR made by derender infer") from fault
     return Posterior(parts, header["seed"], header["command"], header["version"], header["meta"])
 
 
 def scene_of(text: str, names: Sequence[str]) -> SceneGraph:
     """Return the scene of a text as `document_text` gives it, its objects in this order."""
     graph = document_from(parse_yaml(text, "scene"), Path.cwd()).graph
+    if sorted(names) != sorted(graph.names):
+        raise DerenderError("its objects are not those of its scene")
     return replace(graph, vertices=tuple(map(graph.vertex, names)))
 
 
@@ -278,3 +301,75 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value if isinstance(value, str | int | float | bool | type(None)) else str(value)
+
+
+WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits
+
+
+def check_header(header: Any, form: int) -> Mapping[str, Any]:
+    """Return the header of a posterior's file; DerenderError where it lacks something or is of another version."""
+    if not isinstance(header, Mapping):
+        raise DerenderError("its header is no JSON object")
+    if header.get("format") != form:
+        raise DerenderError(f"its format is {header.get('format')!r}, this version reads {form}")
+    parts = header.get("parts")
+    if not isinstance(parts, list) or not parts or not all(isinstance(part, Mapping) for part in parts):
+        raise DerenderError("it holds no structure")
+    for key, kinds in (("seed", (int, type(None))), ("command", (str, type(None))), ("version", (str, type(None)))):
+        if key not in header or not isinstance(header[key], kinds):
+            raise DerenderError(f"its {key} is {header.get(key)!r}")
+    if not isinstance(header.get("meta"), Mapping):
+        raise DerenderError("its meta is no JSON object")
+    _check_meta(header["meta"])
+    return header
+
+
+def _check_meta(meta: Mapping[str, Any]) -> None:
+    """Refuse a camera that is none, and other kinds of values than those that are read of `meta`."""
+    if "camera" in meta:
+        Camera(**meta["camera"])
+    for key, kind in (("likelihood", dict), ("existence", dict), ("doubts", list), ("spots", list)):
+        if not isinstance(meta.get(key, kind()), kind):
+            raise DerenderError(f"its {key} is {meta[key]!r}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def check_parts(parts: Sequence[Any]) -> None:
+    """Refuse StructurePosteriors whose arrays do not fit each other, or whose weights are no probabilities."""
+    for part in parts:
+        names, unknowns = set(part.graph.names), len(part.addresses)
+        for address in part.addresses:
+            if not isinstance(address, str) or address.partition(".")[0] not in names | {"root", "likelihood"}:
+                raise DerenderError(f"{address!r} is no number of its scene")
+        if len(set(part.addresses)) < unknowns:
+            raise DerenderError("an unknown stands twice")
+        values = part.values
+        if values.ndim != 3 or values.shape[2] != unknowns or not values.shape[0] * values.shape[1]:
+            raise DerenderError(f"its draws have the shape {values.shape} for {unknowns} unknowns")
+        arrays = [values, part.log_prior, part.log_likelihood]
+        if part.log_prior.shape != values.shape[:2] or part.log_likelihood.shape != values.shape[:2]:
+            raise DerenderError("its densities are not those of its draws")
+        if part.root_pose is not None:
+            if part.root_pose.shape != (*values.shape[:2], 4, 4):
+                raise DerenderError("its root's poses are not those of its draws")
+            arrays.append(part.root_pose)
+        for array in arrays:
+            if array.dtype.kind != "f" or not np.isfinite(array).all():
+                raise DerenderError("it holds numbers that are not finite")
+        if len(part.periods) not in (0, unknowns):
+            raise DerenderError(f"it has {len(part.periods)} periods for {unknowns} unknowns")
+        if any(period is not None and not (isinstance(period, float) and period > 0.0) for period in part.periods):
+            raise DerenderError("a period is no length")
+        if not isinstance(part.weight, (int, float)) or not 0.0 <= part.weight <= 1.0 + WEIGHTS_SLIP:
+            raise DerenderError(f"a structure has the weight {part.weight!r}")
+        interval = (0.0, 1.0) if part.weight_interval is None else part.weight_interval
+        for what, ends, count in (("error", (part.weight_error,), 1), ("range", interval, 2)):
+            if len(ends) != count or not all(map(_is_number, ends)):
+                raise DerenderError(f"the {what} of a structure's weight is {ends!r}")
+        if not isinstance(part.extras, Mapping):
+            raise DerenderError("its extras are no JSON object")
+    if sum(part.weight for part in parts) > 1.0 + len(parts) * WEIGHTS_SLIP:
+        raise DerenderError("the weights of its structures exceed one")

@@ -8,8 +8,11 @@ What runs compiled lets go of the interpreter, so that threads walk side by side
 """
 
 import hashlib
+import json
 import time
 import traceback
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,9 +20,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from derender.archive import read_archive, write_archive
+from derender.atomic import atomic_path
 from derender.compilation.threads import interruptible
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 
 # Uses of a seed besides chains: drawn scenes, structures of one prior, tempered populations. Each has its own streams,
 # children of a SeedSequence: numpy takes a list such as [seed, 0] for the seed alone, and seed + 1 for the next seed,
@@ -42,8 +46,7 @@ def child_seed(seed: int, *key: int) -> int:
     return int(sequence(seed, *key).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-DRAWN = ("values", "log_prior", "log_likelihood")  # arrays of a record
-FORMAT = 3  # of what a sampler's state holds; a file of another one cannot be resumed
+FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
 
 
 class Record(NamedTuple):
@@ -72,11 +75,17 @@ def fingerprint(*parts: bytes | str) -> str:
 
 def save_record(path: Path, record: Record, run: str) -> None:
     """Write `record` of the run with fingerprint `run`; a kill at any moment leaves the former file or this one."""
-    state = {f"state.{name}": value for name, value in record.state.items()}
-    drawn = {name: getattr(record, name) for name in DRAWN}
-    write_archive(
-        path, FORMAT, {"run": run, "warmed": record.warmed, "generator": record.generator}, {**drawn, **state}
-    )
+    header = {"format": FORMAT, "run": run, "warmed": record.warmed, "generator": record.generator}
+    arrays: dict[str, Any] = {f"state.{name}": value for name, value in record.state.items()}
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez(
+            file,
+            header=np.frombuffer(json.dumps(header).encode(), np.uint8),
+            values=record.values,
+            log_prior=record.log_prior,
+            log_likelihood=record.log_likelihood,
+            **arrays,
+        )
 
 
 def load_record(path: Path, run: str) -> Record | None:
@@ -87,19 +96,23 @@ def load_record(path: Path, run: str) -> Record | None:
     if not path.exists():
         return None
     try:
-        header, arrays = read_archive(path, FORMAT)
-    except DerenderError as fault:
-        what = f"not a checkpoint of a chain ({fault.what})"
-        raise DerenderError(what, path, "remove it, or run without --resume") from fault
+        with np.load(path, allow_pickle=False) as file:
+            header = parse_json(bytes(file["header"]))
+            state = {name.removeprefix("state."): file[name] for name in file.files if name.startswith("state.")}
+            record = Record(
+                header["warmed"], file["values"], file["log_prior"], file["log_likelihood"], state, header["generator"]
+            )
+    except (DerenderError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as fault:
+        raise DerenderError("not a checkpoint of a chain", path, "remove it, or run without --resume") from fault
+    if header.get("format") != FORMAT:
+        raise DerenderError("was written by another version of derender", path, "run without --resume")
     if header["run"] != run:
         raise DerenderError(
             "was written by a run with another image, prior, seed or settings",
             path,
             "repeat that command exactly to resume it, or run without --resume",
         )
-    state = {name.removeprefix("state."): array for name, array in arrays.items() if name.startswith("state.")}
-    values, log_prior, log_likelihood = (arrays[name] for name in DRAWN)
-    return Record(header["warmed"], values, log_prior, log_likelihood, state, header["generator"])
+    return record
 
 
 class Segment(NamedTuple):
