@@ -303,6 +303,15 @@ def test_a_posterior_with_wrong_arrays_is_told(tmp_path, saved, bad):
     assert is_told(tmp_path, stream.getvalue())
 
 
+@pytest.mark.parametrize("factor", [0.0, -1.0, 1e-200, 1e200])
+def test_a_posterior_of_solids_without_a_size_is_told(tmp_path, saved, factor):
+    """A draw whose side is 0 has no mass, by which `look` divided."""
+    arrays = {name.removesuffix(".npy"): np.load(io.BytesIO(data)) for name, data in saved[1].items()}
+    stream = io.BytesIO()
+    np.savez(stream, **(arrays | {"values_0": factor * arrays["values_0"]}))
+    assert is_told(tmp_path, stream.getvalue())
+
+
 JUNK = st.one_of(st.none(), st.booleans(), st.integers(-3, 3), st.sampled_from([1e300, -1e-300, 10**400, float("nan")]),
                  st.sampled_from(["", "a.b", "floor", "box", "\x00", "x" * 300]),
                  st.sampled_from([[], [[]], {}, [1, 2, 3], {"a": 1}, [None], [["a"]]]))  # fmt: skip

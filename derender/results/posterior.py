@@ -25,6 +25,8 @@ from derender.json_text import parse_json
 from derender.results.fit import Explanation
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.graph import SceneGraph, Vertex
+from derender.scene.priors.objects import check_range
+from derender.scene.shapes import shapes
 
 FORMAT = 2  # of posterior.npz
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
@@ -359,6 +361,12 @@ def check_parts(parts: Sequence[Any]) -> None:
         for array in arrays:
             if array.dtype.kind != "f" or not np.isfinite(array).all():
                 raise DerenderError("it holds numbers that are not finite")
+        for address, draws in zip(part.addresses, np.moveaxis(values, -1, 0), strict=True):
+            name, _, number = address.partition(".")
+            sizes = shapes[part.graph.vertex(name).shape].parameters if name in names else ()
+            for parameter in (parameter for parameter in sizes if parameter.name == number):
+                check_range(float(draws.min()), parameter, strict=True)
+                check_range(float(draws.max()), parameter, strict=True)
         if len(part.periods) not in (0, unknowns):
             raise DerenderError(f"it has {len(part.periods)} periods for {unknowns} unknowns")
         if any(period is not None and not (isinstance(period, float) and period > 0.0) for period in part.periods):
