@@ -9,7 +9,7 @@ from derender.detection.leftovers import swaps
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
-from derender.detection.things import Thing
+from derender.detection.things import THINNEST, Thing
 from derender.results.posterior import NINETY
 from derender.scene.hull import convex_outline
 from derender.scene.priors.bare_image import Things
@@ -152,7 +152,7 @@ def _with_all(
         for (key, value), behind, guess in zip(numbers.items(), hidden, thing.guessed, strict=True):
             more, off = rng.standard_normal((2, chains, draws, 1))
             goes_on = (guess > 0.0) | (rng.random(more.shape) > whole)
-            shown = value - guess
+            shown = max(value - guess, THINNEST)  # its surface may be shorter than the box that the guess is of
             drawn = np.maximum(shown + behind * np.abs(more) * goes_on + noise * off, LEAST * shown)
             drawn[part.best_place] = value
             addresses.append(f"{name}.{key}")

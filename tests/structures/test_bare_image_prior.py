@@ -225,6 +225,9 @@ def test_a_thing_reaches_as_much_farther_along_the_line_of_sight_as_the_file_say
     (found,) = free_forms.with_things(np.random.default_rng(0), [part], seen, State(), Things())
     guess = found.values[..., found.addresses.index("thing_1.length")]
     assert np.median(guess) == pytest.approx(0.1, abs=0.003) and guess.min() > 0.03
+    seen.things = (thing._replace(guessed=np.array([0.11, 0.0, 0.0])),)  # of a box that is deeper than the surface
+    (found,) = free_forms.with_things(np.random.default_rng(0), [part], seen, State(), Things())
+    assert (found.values > 0.0).all()
 
 
 def test_what_a_thing_may_be_instead_has_its_share(monkeypatch):
