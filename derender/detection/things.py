@@ -34,6 +34,7 @@ from derender.scene.solids import BOX
 
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
+NOISE = 0.5  # misfit that noise leaves of a pixel; of its share in what it is smoothed with the smoothing leaves none
 FEWEST = 12  # pixels of a thing
 INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
 LARGEST = 0.6  # metres: what is larger is furniture or a wall
@@ -157,8 +158,8 @@ def cost_of(seen: Observation, believed: Things) -> Cost:
     """Return the Cost of free-form surfaces for every pixel of an Observation."""
     mask, normal = seen.mask, seen.surface.normals(seen.mask)
     area, crease = surface_lengths(seen.points, mask, normal, seen.surface.jump, seen.footprint)
-    smooth = smooth_surface(seen.image.depth, mask)
-    misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
+    smooth, own = smooth_surface(seen.image.depth, mask)
+    misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight + NOISE * own, LIMIT)
     return Cost(area, crease, misfit, normal, believed)
 
 
