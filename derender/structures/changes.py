@@ -18,6 +18,7 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import HELD, PARENT, levelled, support_of
 from derender.structures.draws.refined import Refined, pixels_of
 
+LEAST_APART = 1e-4  # metres between the sides of cubes that a box may be: what the sharpest image tells
 LONGER = 1.4  # times as long as a cube is a box tried on one side
 YAWS = tuple(np.radians([0.0, 30.0, 60.0]))  # in which a solid that was round is tried as a box
 NARROWER, BEHIND = 0.7, 0.3  # times as wide as what it bears is a support, and how far behind its middle it may be
@@ -42,7 +43,8 @@ def supports_within(state: State, i: int) -> list[int]:
 def changes(best: Refined, i: int) -> list[State]:
     """Return the states in which solid `i` is a cube instead of a box or the reverse, or stands on something else.
 
-    Where two of a box's extents are about as long as a cube's edge the third may be hidden.
+    Where two of a box's extents are about as long as a cube's edge the third may be hidden. Of a cube each corner of
+    the box is held in one state: where edges are sharp half a millimetre is farther than a walk comes.
     """
     state = best.state
     row, form = state.rows[i], state.forms[i]
@@ -50,11 +52,12 @@ def changes(best: Refined, i: int) -> list[State]:
     if int(row[0]) == BOX and state.cubes[i]:
         found += [state.changed(i, row=each, cube=False) for each in (row, *longer(row, best.chart.floor))]
     elif int(row[0]) == BOX:
-        origin = -best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3]
+        ways = np.array(list(product((-1.0, 1.0), (-1.0, 1.0), (-1.0,) if form == UPRIGHT else (-1.0, 1.0))))
+        corners = row[10:13] + ways * row[13:16] @ rotation_of(row).T
         # the middle one first: an extent that is told worst is off the others, too far for a walk along sharp edges
-        for side in spaced([np.median(row[13:16]), *row[13:16], row[13:16].mean()], 0.002):
+        for side in spaced([np.median(row[13:16]), *row[13:16], row[13:16].mean()], LEAST_APART):
             if np.median(np.abs(row[13:16] - side)) < 0.6 * side:
-                found.append(state.changed(i, row=cube_of(row, side, origin, form), cube=True))
+                found += [state.changed(i, row=cube_of(row, side, corner, form), cube=True) for corner in corners]
     if int(row[0]) != SPHERE and form != FREE and not np.isnan(state.bottoms[i]) and not state.cubes[i]:
         for parent in supports_within(state, i):
             height = 0.0 if parent == FLOOR else highest(state.rows[parent])

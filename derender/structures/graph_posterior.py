@@ -170,7 +170,8 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
         former, others = one_solid_each(rng, best, others, rules, shapes)
         near = [] if number else from_search(former, pool, energy, settings.temper)
         near += additions(rng, former, settings)  # with those of the search: the integral over the best is made once
-        best, others = leading(former, [*others, *weighed_whole(rng, former, near, rules, QUICK)])
+        others += [*weighed_whole(rng, former, near, rules, QUICK), *merges(rng, former, rules)]
+        best, others = leading(former, others)
         if made is not None and best is former:
             others = surest_of_each(others)
             others = [*others, *combinations(rng, best, others, rules)]
