@@ -318,7 +318,13 @@ def odds_before(
 def one_box(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> float:
     """Return the log density of a box's extents (3,), which is as likely a carton as anything else."""
     carton = sum(cartons.extent.log_density(float(extent) * unit) + math.log(unit) for extent in size)
+    carton += lying(size, cartons)
     return float(np.logaddexp(carton, box_log_density(beliefs.sizes[BOX], size, True)) - math.log(2.0))
+
+
+def lying(size: np.ndarray, cartons: Cartons) -> float:
+    """Return the log odds of how a carton of these extents (3,), the last its height, lies, against any way up."""
+    return math.log(3.0 * cartons.flat if size[2] <= size[:2].min() else 1.5 * (1.0 - cartons.flat))
 
 
 def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> dict[tuple[int, ...], float]:
@@ -334,7 +340,7 @@ def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float
     base = prior_of_grids(cartons) - one
     # Twice a share of one over the count: that of the prior, and the Jacobian.
     return {parts: base + sum(float(density[axis, n - 1]) for axis, n in enumerate(parts)) - 2.0 * math.log(count)
-            for parts, count in counts_of_grids(cartons).items()}  # fmt: skip
+            + lying(size / parts, cartons) for parts, count in counts_of_grids(cartons).items()}  # fmt: skip
 
 
 def divide(part: StructurePosterior, names: Sequence[str], grids: Sequence[Grid]) -> list[StructurePosterior]:

@@ -184,7 +184,11 @@ def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_bo
     for unit in (1.0, 1.7):  # a length in n parts is log-normal about n times the median
         many = lognorm(0.4, scale=0.2 * parts / unit).logpdf(size / unit).sum()
         carton = lognorm(0.4, scale=0.2 / unit).logpdf(size / unit).sum()
-        one = np.logaddexp(carton, box_log_density(beliefs.sizes[BOX], size / unit, True)) - np.log(2.0)
+        anything = box_log_density(beliefs.sizes[BOX], size / unit, True)
+        one = np.logaddexp(carton + np.log(3 * 0.8), anything) - np.log(2.0)
         counts = [n for n in (np.prod(each) for each in product(range(1, 6), repeat=3)) if n >= 4]
         before = np.log(0.02 / 0.98) - np.log(6 * np.sum(1.0 / np.array(counts)))
-        assert odds(tuple(parts), size, unit) == pytest.approx(before + many - one)
+        upended = np.log(1.5 * 0.2)  # each carton is higher than it is wide: of three ways up one of the two others
+        assert odds(tuple(parts), size, unit) == pytest.approx(before + many + upended - one)
+    flat, standing = (odds((3, 3, layers), [1.2, 0.72, 0.33]) for layers in (2, 1))
+    assert flat > standing, "two layers of 40 x 24 x 16 cm before one of cartons that stand 33 cm high"
