@@ -47,6 +47,7 @@ from derender.structures.draws.steps import (
     block_steps,
     factor_of_inverse,
     floor_step,
+    inverse_of,
     make_proposals,
     own_members,
     single_steps,
@@ -251,8 +252,14 @@ def test_a_floor_that_takes_all_else_along_leaves_a_normal_as_it_is():
 def test_a_precision_that_rounding_made_indefinite_still_gives_steps():
     """As an image of stripes one pixel wide does."""
     along = np.array([[1.0], [2.0], [-1.0]])
-    factor = factor_of_inverse(1e12 * along @ along.T - 1e-6 * np.eye(3))
+    precision = 1e12 * along @ along.T - 1e-6 * np.eye(3)
+    factor = factor_of_inverse(precision)
     assert np.isfinite(factor).all() and np.allclose(along.T @ factor @ factor.T @ along, 1e-12)
+    assert np.allclose(along.T @ inverse_of(precision) @ along, 1e-12)
+    loose = np.diag([4.0, 9.0, -1e-6])
+    assert np.linalg.eigvalsh(inverse_of(loose)).min() > 0.0
+    well = np.diag([4.0, 9.0, 16.0])
+    assert np.array_equal(inverse_of(well), np.linalg.inv(well))
 
 
 def test_steps_of_one_top_leave_those_above_where_they_are():

@@ -58,6 +58,7 @@ from derender.structures.draws.steps import (
     Proposals,
     adapted,
     block_steps,
+    inverse_of,
     joined,
     make_proposals,
     single_steps,
@@ -295,7 +296,7 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
         moves = singles
         if temperature >= 1.0:
             if blocks is None:
-                spread = np.linalg.inv(Curvature(engine, chart, sensor, values).precision(members))
+                spread = inverse_of(Curvature(engine, chart, sensor, values).precision(members))
                 blocks = make_proposals(block_steps(chart, spread, only))
             moves = joined(singles, blocks._replace(factors=blocks.factors / np.sqrt(temperature)))
         moves, (draws,) = stretch(rng, [walker], moves, temperature, 0.1, count, APART)
@@ -327,7 +328,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
     blurs = [blurs_about(view, model_depth(chart, values, view.camera, view.into)) if open_blur else ()
              for view in sensor.views]  # fmt: skip
-    spread = np.linalg.inv(Curvature(walkers[0].engine, chart, sensor, values).precision(members))
+    spread = inverse_of(Curvature(walkers[0].engine, chart, sensor, values).precision(members))
     factor = np.linalg.cholesky(spread)
     singles = single_steps(chart, only)
     singles = singles._replace(cumulative=SINGLES * singles.cumulative, scale=np.full_like(singles.scale, NARROW))

@@ -267,6 +267,17 @@ def block_steps(chart, covariance, only=None, center=None):
     return [step._replace(weight=weight * step.weight) for step in steps]
 
 
+def inverse_of(precision: np.ndarray) -> np.ndarray:
+    """Return the covariance P^-1 (n, n) of a precision P (n, n), positive definite however P was rounded."""
+    try:
+        inverse = np.linalg.inv(precision)
+        np.linalg.cholesky(inverse)
+        return inverse
+    except np.linalg.LinAlgError:
+        factor = factor_of_inverse(precision)
+        return factor @ factor.T
+
+
 def factor_of_inverse(precision: np.ndarray) -> np.ndarray:
     """Return a factor F (n, n) of the covariance F F' = P^-1 of a precision P (n, n), rounded as it may be."""
     try:
