@@ -196,7 +196,8 @@ def numbers_in(value: object, name: str, count: int | None = None) -> np.ndarray
 def from_matrix(value: object, name: str) -> dict[str, Any]:
     """Return fx, fy, cx, cy of a row-major intrinsic matrix."""
     matrix = numbers_in(value, name, 9).reshape(3, 3)
-    matrix = matrix / matrix[2, 2] if matrix[2, 2] else matrix
+    with np.errstate(over="ignore"):  # what is infinite then is told
+        matrix = matrix / matrix[2, 2] if matrix[2, 2] else matrix
     if matrix[2, 0] or matrix[2, 1] or matrix[1, 0] or not matrix[2, 2]:
         remedy = "its last row is 0, 0, 1: check whether it is row-major (Open3D's is column-major)"
         raise DerenderError(f"{name} is not an intrinsic matrix", "camera", remedy)

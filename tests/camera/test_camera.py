@@ -169,6 +169,7 @@ def test_what_is_written_is_read_back_exactly(tmp_path):
         (OPEN3D.replace("0.0, 526.0, 0.0", "0.0, 526.0"), "8 numbers"),
         # Row-major where Open3D is column-major.
         ('{"width": 4, "height": 4, "intrinsic_matrix": [5, 0, 2, 0, 5, 2, 0, 0, 1]}', "column-major"),
+        ('{"width": 4, "height": 4, "K": [5, 0, 2, 0, 5, 2, 0, 0, 1e-320]}', "fx is inf"),
         ("camera: " * 50, "neither JSON nor YAML"),
     ],
 )
