@@ -1,6 +1,7 @@
-"""JSON that a user gave: no key twice, no nesting that exhausts a stack."""
+"""JSON that a user gave: no key twice, no nesting that exhausts a stack, each value of its kind."""
 
 import json
+import sys
 from typing import Any
 
 from derender.errors import DerenderError
@@ -44,3 +45,27 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
         raise DerenderError(f"the key {twice!r} stands twice", remedy="keep one of them")
     return tree
+
+
+def misfit(tree: Any, form: Any, place: str = "it") -> str:
+    """Return the first place of a JSON tree that is not of a form, such as "meta.spots.0"; "" where all is.
+
+    form : float, any finite number; None or another type; {form, form}, any of these; [form], a list of such; (form,
+        form), a list of this length; {"one": form, "other?": form, str: form}, an object with these keys, the second if
+        it has one, and with any others for the third; where that is missing, what they hold does not count.
+    """
+    if isinstance(form, set):
+        return "" if any(not misfit(tree, each) for each in form) else place
+    if form is float:
+        number = isinstance(tree, int | float) and not isinstance(tree, bool)
+        return "" if number and abs(tree) <= sys.float_info.max else place
+    if isinstance(form, dict) and isinstance(tree, dict):
+        named = {key.removesuffix("?"): each for key, each in form.items() if key is not str}
+        lacking = [f"{place}.{key}" for key in form if key in named and key not in tree]
+        inside = [(key, each, named.get(key, form.get(str, object))) for key, each in tree.items()]
+    elif isinstance(form, list | tuple) and isinstance(tree, list):
+        lacking = [place] if isinstance(form, tuple) and len(tree) != len(form) else []
+        inside = [(k, each, form[k % len(form)]) for k, each in enumerate(tree)]
+    else:
+        return "" if tree is form or (isinstance(form, type) and isinstance(tree, form)) else place
+    return next(filter(None, (*lacking, *(misfit(each, its, f"{place}.{key}") for key, each, its in inside))), "")

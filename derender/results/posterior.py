@@ -21,7 +21,7 @@ from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
 from derender.document import document_from, document_text
 from derender.errors import DerenderError
-from derender.json_text import parse_json
+from derender.json_text import misfit, parse_json
 from derender.results.fit import Explanation
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.graph import SceneGraph, Vertex
@@ -259,7 +259,13 @@ def load(path: str | Path) -> Posterior:
         raise DerenderError("there is no posterior here", path, "derender infer IMAGE -o DIR writes one")
     try:
         with np.load(path, allow_pickle=False) as file:
-            header = check_header(parse_json(bytes(file["header"])), FORMAT)
+            header = parse_json(bytes(file["header"]))
+            if isinstance(header, dict) and header.get("format") != FORMAT:
+                raise DerenderError(f"its format is {header.get('format')!r}, this version reads {FORMAT}")
+            if wrong := misfit(header, HEADER, "header"):
+                raise DerenderError(f"{wrong} is not as it should be")
+            if "camera" in header["meta"]:
+                Camera(**header["meta"]["camera"])
             parts = tuple(
                 StructurePosterior(
                     scene_of(part["scene"], part["objects"]),
@@ -306,45 +312,36 @@ def _plain(value: Any) -> Any:
 
 
 WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits
-
-
-def check_header(header: Any, form: int) -> Mapping[str, Any]:
-    """Return the header of a posterior's file; DerenderError where it lacks something or is of another version."""
-    if not isinstance(header, Mapping):
-        raise DerenderError("its header is no JSON object")
-    if header.get("format") != form:
-        raise DerenderError(f"its format is {header.get('format')!r}, this version reads {form}")
-    parts = header.get("parts")
-    if not isinstance(parts, list) or not parts or not all(isinstance(part, Mapping) for part in parts):
-        raise DerenderError("it holds no structure")
-    for key, kinds in (("seed", (int, type(None))), ("command", (str, type(None))), ("version", (str, type(None)))):
-        if key not in header or not isinstance(header[key], kinds):
-            raise DerenderError(f"its {key} is {header.get(key)!r}")
-    if not isinstance(header.get("meta"), Mapping):
-        raise DerenderError("its meta is no JSON object")
-    _check_meta(header["meta"])
-    return header
-
-
-def _check_meta(meta: Mapping[str, Any]) -> None:
-    """Refuse a camera that is none, and other kinds of values than those that are read of `meta`."""
-    if "camera" in meta:
-        Camera(**meta["camera"])
-    for key, kind in (("likelihood", dict), ("existence", dict), ("doubts", list), ("spots", list)):
-        if not isinstance(meta.get(key, kind()), kind):
-            raise DerenderError(f"its {key} is {meta[key]!r}")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+LIKELIHOOD = {"type?": str, str: float}
+# What a posterior's file says beside its arrays, as `misfit` takes it.
+HEADER = {
+    "seed": {int, None}, "command": {str, None}, "version": {str, None},
+    "meta": {
+        "camera?": dict, "doubts?": [str], "existence?": {str: (float, float)}, "explained?": float, "faces?": float,
+        "hanging?": [str], "hidden_expected?": {float, None}, "image?": str, "in_doubt?": [str],
+        "likelihood?": LIKELIHOOD, "missed?": float, "noise?": float,
+        "other_floors?": [{"probability": float, "plane": (float, float, float, float)}],
+        "spots?": [(float, float, float, float)],
+        "structure_chains?": {"r_hat?": {float, None}, "shares?": [float]},
+        "views?": [{"image": str, "pose": [(float, float, float, float)], "explained": float}],
+        "wrong_if_missed?": float,
+    },
+    "parts": [{
+        "scene": str, "objects": [str], "addresses": [str], "weight": float, "weight_error?": float,
+        "weight_interval?": {(float, float), None}, "periods": [{float, None}],
+        "extras": {"likelihood?": LIKELIHOOD, "log_evidence?": [float]},
+    }],
+}  # fmt: skip
 
 
 def check_parts(parts: Sequence[Any]) -> None:
-    """Refuse StructurePosteriors whose arrays do not fit each other, or whose weights are no probabilities."""
+    """Refuse StructurePosteriors whose arrays do not fit each other, or whose weights are no probabilities; or none."""
+    if not parts:
+        raise DerenderError("it holds no structure")
     for part in parts:
         names, unknowns = set(part.graph.names), len(part.addresses)
         for address in part.addresses:
-            if not isinstance(address, str) or address.partition(".")[0] not in names | {"root", "likelihood"}:
+            if address.partition(".")[0] not in names | {"root", "likelihood"}:
                 raise DerenderError(f"{address!r} is no number of its scene")
         if len(set(part.addresses)) < unknowns:
             raise DerenderError("an unknown stands twice")
@@ -369,15 +366,9 @@ def check_parts(parts: Sequence[Any]) -> None:
                 check_range(float(draws.max()), parameter, strict=True)
         if len(part.periods) not in (0, unknowns):
             raise DerenderError(f"it has {len(part.periods)} periods for {unknowns} unknowns")
-        if any(period is not None and not (isinstance(period, float) and period > 0.0) for period in part.periods):
+        if any(period is not None and not period > 0.0 for period in part.periods):
             raise DerenderError("a period is no length")
-        if not isinstance(part.weight, (int, float)) or not 0.0 <= part.weight <= 1.0 + WEIGHTS_SLIP:
+        if not 0.0 <= part.weight <= 1.0 + WEIGHTS_SLIP:
             raise DerenderError(f"a structure has the weight {part.weight!r}")
-        interval = (0.0, 1.0) if part.weight_interval is None else part.weight_interval
-        for what, ends, count in (("error", (part.weight_error,), 1), ("range", interval, 2)):
-            if len(ends) != count or not all(map(_is_number, ends)):
-                raise DerenderError(f"the {what} of a structure's weight is {ends!r}")
-        if not isinstance(part.extras, Mapping):
-            raise DerenderError("its extras are no JSON object")
     if sum(part.weight for part in parts) > 1.0 + len(parts) * WEIGHTS_SLIP:
         raise DerenderError("the weights of its structures exceed one")

@@ -36,11 +36,11 @@ def part(text=TOWER, weight=1.0, seed=0):
 @pytest.mark.parametrize("text", [TOWER, LOOKED_AT], ids=["tower", "looked-at"])
 def test_saved_is_loaded(tmp_path, text):
     world, one = part(text)
-    posterior = Posterior((one,), 3, "derender infer x", meta={"noise": {"sigma": 1.5}})
+    posterior = Posterior((one,), 3, "derender infer x", meta={"noise": 1.5})
     posterior.save(tmp_path / "posterior.npz")
     again = load(tmp_path)
     assert (again.seed, again.command, again.version) == (3, "derender infer x", posterior.version)
-    assert again.meta == {"noise": {"sigma": 1.5}} and again.parts[0].extras == {"acceptance": {"drift": 0.25}}
+    assert again.meta == {"noise": 1.5} and again.parts[0].extras == {"acceptance": {"drift": 0.25}}
     np.testing.assert_array_equal(again.parts[0].values, one.values)
     np.testing.assert_array_equal(again.parts[0].log_density, one.log_density)
     assert again.parts[0].addresses == one.addresses and again.parts[0].periods == one.periods
