@@ -8,12 +8,8 @@ from derender.cli.options import Talk
 
 @click.command()
 @click.argument("scene", metavar="SCENE-or-DIR")
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="FILE",
-    help="The suffix is the format: .glb .obj .xml (MuJoCo) .urdf .json (BOP) .rrd (rerun).",
+@options.output(
+    "The suffix is the format: .glb .obj .xml (MuJoCo) .urdf .json (BOP) .rrd (rerun).", None, "FILE", required=True
 )
 @options.quiet
 def command(scene: str, output: str, talk: Talk) -> None:

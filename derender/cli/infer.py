@@ -246,7 +246,7 @@ def command(talk: Talk, **arguments: Any) -> int | None:
         derender infer film/ --track --fps 30 -o out && cat out/events.jsonl
     """
     images, watch, scheduler = (arguments.pop(key) for key in ("images", "watch", "scheduler"))
-    if arguments["output"] in ("-", ""):
+    if arguments["output"] == "-":
         raise click.UsageError("-o is a folder: of many files none can go to stdout")
     if arguments["quick"]:
         if arguments["method"] not in ("auto", "map"):

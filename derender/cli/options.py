@@ -94,7 +94,8 @@ class Talk:
         self._echo(f"warning: {message}")
 
     def _echo(self, message: str) -> None:
-        click.echo(printable(message, "\n"), err=True)
+        with contextlib.suppress(OSError):  # what cannot be told costs nothing of what is done
+            click.echo(printable(message, "\n"), err=True)
 
 
 def quiet(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -213,9 +214,16 @@ noise = click.option("--noise/--no-noise", default=False, show_default=True, hel
 strict = click.option("--strict", is_flag=True, help="Exit with status 3 where the result is not to be trusted.")
 
 
-def output(help: str, default: str | None = None, metavar: str = "PATH") -> Callable[..., Any]:
-    """Return the option -o, `output` in the command."""
-    return click.option("-o", "--output", metavar=metavar, default=default, show_default=default is not None, help=help)
+def output(help: str, default: str | None = None, metavar: str = "PATH", **more: Any) -> Callable[..., Any]:
+    """Return the option -o, `output` in the command, which has a name or "-" in it."""
+
+    def named(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+        if value == "":
+            raise click.BadParameter("it is empty")
+        return value
+
+    return click.option("-o", "--output", metavar=metavar, default=default, show_default=default is not None, help=help,
+                        callback=named, **more)  # fmt: skip
 
 
 def command_line() -> str:

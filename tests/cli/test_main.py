@@ -108,6 +108,19 @@ def test_a_full_or_closed_stdout_is_at_most_one_line(target, line):
     assert done.stderr.strip() == line
 
 
+def test_what_stderr_does_not_take_costs_nothing(tmp_path):
+    command = f"{sys.executable} -m derender sample 2>/dev/full"
+    assert subprocess.run(["sh", "-c", command], cwd=tmp_path, timeout=60).returncode == 0
+    assert (tmp_path / "sample_000.npz").exists()
+
+
+@pytest.mark.parametrize("name", ["calibrate", "export", "infer", "look", "render", "report", "sample", "simulate"])
+def test_an_output_without_a_name_is_a_usage_fault(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "x", "-o", ""])
+    assert ended.value.code == 2 and "'-o' / '--output': it is empty" in capsys.readouterr().err
+
+
 def listen():
     """Let the new process hear interrupts, also where a shell has started the tests in the background, deaf to them."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
