@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.table import digits, probability_text
+from derender.sampling.diagnostics import within_a_turn
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.bare_image import BareImagePrior
@@ -84,11 +85,11 @@ def _contact(graph: SceneGraph, vertex: Vertex) -> str:
 
 
 def _number(name: str, value: float, parameter: Any) -> str:
-    """Return a contact's number as people read it; an angle within half a period of 0, as in the tables."""
+    """Return a contact's number as people read it; an angle on the turn that tables have it on."""
     if parameter is None or parameter.unit != "rad":
         return f"{name} {value:.3f} {parameter.unit if parameter else ''}".rstrip()
     if parameter.period:
-        value -= parameter.period * math.floor(value / parameter.period + 0.5)
+        value = within_a_turn(value, parameter.period)
     return f"{name} {math.degrees(value):.1f} deg"
 
 

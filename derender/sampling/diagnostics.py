@@ -54,6 +54,7 @@ def unwrap(draws: np.ndarray, period: float | None) -> np.ndarray:
     """Return angles as deviations from their circular mean, within half a period, and that mean added back.
 
     A chain at theta near 0 and near one period is at one place; taken as a plain number it seems to have two modes.
+    The mean is on the turn on which most draws are, as their prior has it, or on the first from 0 up.
 
     draws : (...) float.
     period : of the parameter, or None for one that lives on a line: then `draws` come back as they are.
@@ -62,7 +63,13 @@ def unwrap(draws: np.ndarray, period: float | None) -> np.ndarray:
         return draws
     turns = np.exp(2j * np.pi * draws / period)
     centre = np.angle(np.mean(turns)) * period / (2 * np.pi)
+    centre = within_a_turn(centre + period * np.round((np.median(draws) - centre) / period), period)
     return centre + (draws - centre + period / 2) % period - period / 2
+
+
+def within_a_turn(angle: float, period: float) -> float:
+    """Return an angle, as it is where that is less than a period either way, else on the first turn from 0 up."""
+    return angle if abs(angle) <= period else angle % period
 
 
 def summary(draws: np.ndarray, period: float | None = None) -> dict[str, float]:

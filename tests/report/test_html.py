@@ -253,7 +253,7 @@ def test_numbers_are_read_in_their_own_units():
 
 
 def test_angles_are_shown_as_the_table_has_them():
-    """A cube at 348 degrees is one at -12; half a period either way is what both print."""
+    """As a prior has them, from 0 to 90 degrees or from -45; else on the first turn: a cube at 348 is one at 78."""
     floor = Vertex("floor", "plane", {}, "root", Contact("6dof"))
 
     def theta(shape, parameters, degrees):
@@ -263,9 +263,9 @@ def test_angles_are_shown_as_the_table_has_them():
         return next(line for line in scene_lines(graph) if "thing" in line)
 
     cube, box = ("cube", {"side": 0.1}), ("box", {"length": 0.1, "width": 0.2, "height": 0.1})
-    assert "theta -12.0 deg" in theta(*cube, 348) and "theta -12.0 deg" in theta(*cube, 78)
-    assert "theta -12.0 deg" in theta(*box, 348) and "theta 78.0 deg" in theta(*box, 78)
-    assert "theta -80.0 deg" in theta(*box, 100)
     address = "thing.contact.theta"
-    rows = parameter_rows([address], np.full((1, 4, 1), np.radians(348)), {address: np.pi / 2})
-    assert cells(rows[0])[1] == "-12.00"
+    for (shape, period), degrees, told in (((cube, 90), 78, 78), ((cube, 90), 348, 78), ((cube, 90), -12, -12),
+                                           ((box, 180), 100, 100), ((box, 180), 348, 168)):  # fmt: skip
+        assert f"theta {told:.1f} deg" in theta(*shape, degrees)
+        rows = parameter_rows([address], np.full((1, 4, 1), np.radians(degrees)), {address: np.radians(period)})
+        assert cells(rows[0])[1] == f"{told:.2f}"
