@@ -152,11 +152,17 @@ def read_shake(text: str) -> Shake:
     return Shake(_quantity(parts[0], "Hz", where, True), _quantity(parts[1], "m", where), way)
 
 
+MOST_JITTER = 0.5  # metres and radians: nobody sees so badly, but 2 and 1 are soon written for 2mm and 1deg
+
+
 def read_jitter(text: str) -> tuple[float, float]:
     """Read LENGTH or LENGTH,ANGLE, such as 2mm,1deg."""
     length, _, angle = text.partition(",")
     where = f"--jitter {text}"
-    return _quantity(length, "m", where), _quantity(angle or "0", "rad", where)
+    found = _quantity(length, "m", where), _quantity(angle or "0", "rad", where)
+    if max(found) > MOST_JITTER:
+        raise DerenderError(f"{found[0]:g} m and {found[1]:g} rad are no jitter", where, "write units, as in 2mm,1deg")
+    return found
 
 
 def read_add(text: str) -> tuple[str, str, np.ndarray, str, tuple[float, float]]:

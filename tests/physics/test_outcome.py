@@ -125,7 +125,8 @@ def test_interventions_are_read_and_faults_are_one_line(graph):
     assert read_push("red:-90deg:1N@1s").force == pytest.approx([0, -1, 0])
     for texts in ({"push": ["red:+x"]}, {"push": ["red:+q:1N@1s"]}, {"tilt": "100deg"}, {"shake": "2Hz"},
                   {"jitter": "2kg"}, {"add": ["a:cone:1cm@red"]}, {"push": ["red:+x:nanN@1s"]},
-                  {"push": ["red:+x:-1N@1s"]}, {"jitter": "1e308"}):  # fmt: skip
+                  {"push": ["red:+x:-1N@1s"]}, {"jitter": "1e308"}, {"jitter": "2,1deg"},
+                  {"jitter": "2mm,1"}):  # fmt: skip
         with pytest.raises(DerenderError):
             intervention(**texts)
     for texts in ({"remove": ["blue"]}, {"push": ["blue:+x:1N@1s"]}, {"add": ["red:cube:5cm@floor"]}):
