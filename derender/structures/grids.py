@@ -168,11 +168,9 @@ def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Belie
     found = []
     for part in parts:
         graph, _ = part.best()
-        divided, index = [part], cache(partial(index_of, graph, image.camera))
-        for names in bodies_of(graph, blocks_of(graph), beliefs.loose.cartons.gap / image.unit, FLUSH / image.unit):
-            grids = grids_of(graph, names, image, beliefs, index)
-            divided = [piece for whole in divided for piece in divide(whole, names, grids)]
-        found += divided
+        index = cache(partial(index_of, graph, image.camera))
+        bodies = bodies_of(graph, blocks_of(graph), beliefs.loose.cartons.gap / image.unit, FLUSH / image.unit)
+        found += divide(part, [(names, grids_of(graph, names, image, beliefs, index)) for names in bodies])
     return sorted(found, key=lambda part: -part.weight)
 
 
@@ -343,23 +341,35 @@ def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float
             + lying(size / parts, cartons) for parts, count in counts_of_grids(cartons).items()}  # fmt: skip
 
 
-def divide(part: StructurePosterior, names: Sequence[str], grids: Sequence[Grid]) -> list[StructurePosterior]:
-    """Return a structure with a box, or some that are flush, as found and as each grid that is likely enough."""
-    if not grids or any(part.graph.vertex(name).shape != "box" for name in names):
+def divide(
+    part: StructurePosterior, bodies: Sequence[tuple[Sequence[str], Sequence[Grid]]]
+) -> list[StructurePosterior]:
+    """Return a structure with its bodies, boxes or some that are flush, as found and as grids that are likely enough.
+
+    bodies : (names, Grids that it may be) of each. Of what all may be together the MOST_KEPT likeliest are told.
+    """
+    told: list[tuple[float, tuple]] = [(1.0, ())]
+    for names, grids in bodies:
+        odds = np.array([0.0, *(grid.odds for grid in grids)])
+        each = [
+            *zip(np.exp(odds - np.logaddexp.reduce(odds)), [(), *(((names, grid),) for grid in grids)], strict=True)
+        ]
+        ways = [(float(share * own), way + more) for share, way in told for own, more in each]
+        told = sorted(ways, key=lambda way: -way[0])[:MOST_KEPT]
+    as_found = sum(share for share, way in told if not way)
+    if as_found > 1.0 - SMALLEST_WEIGHT:
         return [part]
-    odds = np.array([0.0, *(grid.odds for grid in grids)])
-    one, *others = np.exp(odds - np.logaddexp.reduce(odds))
-    if one > 1.0 - SMALLEST_WEIGHT:
-        return [part]
-    one = one if one >= SMALLEST_WEIGHT else 0.0
-    # Which grids are told is a choice among grids: those left out take nothing from the one box's share.
-    kept = sorted(range(len(grids)), key=lambda k: -others[k])[: MOST_KEPT - 1]
-    kept = [k for place, k in enumerate(kept) if place == 0 or others[k] >= SMALLEST_WEIGHT]
-    among = (1.0 - one) / sum(others[k] for k in kept)
-    made = [part.scaled(float(one))] if one else []
-    for k in kept:
-        leads = k == kept[0] and others[k] > one
-        made.append(as_grid(part if leads else part.best_only(), names, grids[k]).scaled(float(among * others[k])))
+    as_found = as_found if as_found >= SMALLEST_WEIGHT else 0.0
+    # Which grids are told is a choice among grids: those left out take nothing from the share of the boxes as found.
+    kept = [(share, way) for share, way in told if way]
+    kept = [each for place, each in enumerate(kept) if place == 0 or each[0] >= SMALLEST_WEIGHT]
+    among = (1.0 - as_found) / sum(share for share, _ in kept)
+    made = [part.scaled(as_found)] if as_found else []
+    for place, (share, way) in enumerate(kept):
+        piece = part if place == 0 and share > as_found else part.best_only()
+        for names, grid in way:
+            piece = as_grid(piece, names, grid)
+        made.append(piece.scaled(among * share))
     return made
 
 

@@ -158,7 +158,7 @@ def test_grids_too_many_to_be_told_leave_the_one_box_its_share(many):
     """Of forty grids of .02 each and one box of .2 some are left out: the box keeps .2, and has none of their share."""
     part, *_ = pallet()
     grids = [Grid((2, 2, 1 + k % 5), np.log(0.8 / many / 0.2), np.full(3, GAP)) for k in range(many)]
-    found = divide(part, ("box_1",), grids)
+    found = divide(part, [(("box_1",), grids)])
     assert sum(each.weight for each in found) == pytest.approx(1.0)
     assert found[0].graph.names == part.graph.names and found[0].weight == pytest.approx(0.2)
 
@@ -167,8 +167,16 @@ def test_one_box_that_many_unlikely_grids_outweigh_is_not_sure():
     """Each of 60 grids is below what is told, and all of them together are a third."""
     part, *_ = pallet()
     grids = [Grid((2, 2, 1), np.log(0.5 / 60), np.full(3, GAP))] * 60
-    assert divide(part, ("box_1",), grids)[0].weight == pytest.approx(2.0 / 3.0)
-    assert divide(part, ("box_1",), [Grid((2, 2, 1), -20.0, np.full(3, GAP))] * 60) == [part]
+    assert divide(part, [(("box_1",), grids)])[0].weight == pytest.approx(2.0 / 3.0)
+    assert divide(part, [(("box_1",), [Grid((2, 2, 1), -20.0, np.full(3, GAP))] * 60)]) == [part]
+
+
+def test_three_bodies_that_may_be_many_grids_are_told_by_what_is_likeliest_of_all_together():
+    part, *_ = pallet(slabs=3)
+    grids = [Grid((2, 2, 1 + k), np.log(k + 1.0), np.full(3, GAP)) for k in range(4)]
+    found = divide(part, [((f"box_{k}",), grids) for k in (1, 2, 3)])
+    assert len(found) < 15 and sum(each.weight for each in found) == pytest.approx(1.0)
+    assert len(found[0].graph.names) == 1 + 3 * 16, "the likeliest of all: each in four layers of four"
 
 
 def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_boxes_alone():
