@@ -114,7 +114,7 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     """Return the State in which upright solid `i`, which shows in a mask (H, W), is two, the upper one the last; None
     where it is likelier as one, or as a free-form surface."""
     view, rules, floor = view_of(seen), settings.rules, floor_pose_of(refined)
-    sensor, both = refined.sensor._replace(observed=view.observed), (i, len(state))
+    sensor, both = refined.sensor._replace(observed=view.observed, beside=None).changed(), (i, len(state))
     least = LEFT_HEIGHT * seen.scale
 
     def exact(state: State, most: float) -> bool:

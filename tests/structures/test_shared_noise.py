@@ -47,6 +47,15 @@ def test_what_neighbours_share_is_found_and_what_a_file_gives_as_a_number_holds(
     assert found["reach"] == 7.0 and found["sigma"] == 0.002
 
 
+def test_what_pixels_go_on_from_is_made_anew_only_for_numbers_on_which_it_hangs():
+    sensor = Sensor(CAMERA, box_on_a_table(), likelihoods["correlated"], {}).changed(**NOISE)
+    assert sensor.changed(blur=0.7, sigma=0.002).beside is sensor.beside
+    for number, other in (("step", 0.001), ("white", 0.3), ("reach_down", 1.0)):
+        changed = sensor.changed(**{number: other})
+        assert np.array_equal(changed.beside, changed.likelihood.beside(changed.observed, changed.values))
+        assert not np.array_equal(changed.beside, sensor.beside)
+
+
 def test_noise_is_that_by_which_pixels_tell_their_surface_however_far_others_drift():
     """Pixels that go on drift from the surface: all scatter three times as much as those that tell it anew."""
     true = {**NOISE, "sigma_growth": 0.003, "step_growth": 0.0015, "white": 0.2, "reach": 5.0, "outlier": 0.02}

@@ -15,11 +15,19 @@ from derender.scene.solids import Solids
 
 
 def engine_under(
-    likelihood: Likelihood, values: Mapping[str, float], camera: Camera, observed: np.ndarray, solids: Solids
+    likelihood: Likelihood,
+    values: Mapping[str, float],
+    camera: Camera,
+    observed: np.ndarray,
+    solids: Solids,
+    beside: np.ndarray | None = None,
 ) -> EngineState:
-    """Return the state for an image (H, W) under a likelihood's numbers and for scenes of such solids."""
-    row, beside = likelihood.row(values), likelihood.beside(observed, values)
-    return new_engine(camera, observed, solids, likelihood.code, row, values["blur"], beside)
+    """Return the state for an image (H, W) under a likelihood's numbers and for scenes of such solids.
+
+    beside : see `Likelihood.beside`; None: it is made here.
+    """
+    beside = likelihood.beside(observed, values) if beside is None else beside
+    return new_engine(camera, observed, solids, likelihood.code, likelihood.row(values), values["blur"], beside)
 
 
 class DepthEvaluator:

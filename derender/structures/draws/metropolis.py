@@ -234,7 +234,7 @@ def engine_of(chart: Chart, sensor: Sensor) -> Views:
     solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
     states = []
     for view in sensor.views:
-        state = engine_under(view.likelihood, view.values, view.camera, view.observed, solids)
+        state = engine_under(view.likelihood, view.values, view.camera, view.observed, solids, view.beside)
         state.rectangle[:, 0] = 0, view.camera.width, 0, view.camera.height
         states.append(state)
     return make_views(states, np.array([view.into for view in sensor.views]))

@@ -47,6 +47,7 @@ class Sensor(NamedTuple):
     observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it shows what is no
         part of the scene, see `Robust`.
     into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
+    beside : see `Likelihood.beside`; None: not made yet. Of another `observed` there is none.
     """
 
     camera: Camera
@@ -56,6 +57,7 @@ class Sensor(NamedTuple):
     prior: Any = None  # LikelihoodPrior, what is believed of those numbers; None: of each value as much
     into: np.ndarray = np.eye(4)
     others: tuple["Sensor", ...] = ()  # Sensors of the other views, each of one
+    beside: np.ndarray | None = None
 
     @property
     def returned(self) -> np.ndarray:
@@ -86,8 +88,15 @@ class Sensor(NamedTuple):
         """Return the sensor with another likelihood or other numbers of the first view."""
         likelihood = self.likelihood if name is None else likelihoods[name]
         known = {p.name for p in likelihood.parameters}
-        kept = {k: v for k, v in {**self.values, **values}.items() if k in known}
-        return self._replace(likelihood=likelihood, values=likelihood.complete(kept))
+        numbers = likelihood.complete({k: v for k, v in {**self.values, **values}.items() if k in known})
+        beside = self.beside
+        if (
+            beside is None
+            or likelihood is not self.likelihood
+            or any(numbers[name] != self.values[name] for name in likelihood.of_image)
+        ):
+            beside = likelihood.beside(self.observed, numbers)
+        return self._replace(likelihood=likelihood, values=numbers, beside=beside)
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
         """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
