@@ -6,7 +6,7 @@ one rises from it as from any floor. Lengths are those of a main plane that is s
 
 import numpy as np
 
-from derender.detection.floor import LEVEL, back_project
+from derender.detection.floor import LEVEL, ROOM, back_project
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation
@@ -19,9 +19,6 @@ NEAR, NOISES = 0.01, 4.0  # metres, and standard deviations of the noise, off a 
 # the last pixels that show it.
 ENDS, RIM = 0.002, 0.01
 MOST = 4  # planes
-# Metres below the main plane, however far away, from which on a plane is the room's floor below a table: what stands
-# there is furniture.
-ROOM = 0.45
 STEP = 0.03  # metres over or under the main plane, at least: less may be its own bend, or a mat on it
 
 

@@ -233,7 +233,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
             "correlation": seen.correlation,
             "faces": case.beliefs.loose.faces if seen.correlation > CORRELATED else 0.0,
             "backdrop": seen.background if seen.backdrop else 0.0,
-            "other_floors": [rival._asdict() for rival in seen.rivals],
+            "other_floors": [rival._asdict() for rival in seen.other_floors],
             "no_floor": seen.no_floor, "interrupted": interrupted,
             "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
             "hidden_expected": extras.get("hidden_expected"), "spots": extras.get("spots", []),
@@ -325,7 +325,7 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
     found = 1.0 - missed.few * np.exp(-np.array(extras.get("pixels", [])) / missed.pixels)
-    same = 1.0 - sum(rival.probability for rival in seen.rivals)
+    same = 1.0 - sum(rival.probability for rival in seen.other_floors)
     return float(1.0 - same * (1.0 - whole) * np.prod(found))
 
 

@@ -109,16 +109,25 @@ def test_planes_that_are_close_are_rivals_and_lower_what_is_said(corner):
     assert abs(np.dot(rival.plane[:3], seen.floor.pose[:3, 2])) < 0.9
 
 
+@pytest.mark.parametrize("lower, rivals", [(0.3, 1), (0.7, 0)])
+def test_the_rooms_floor_below_a_table_is_there_too_and_no_rival(rng, lower, rivals):
+    depth = plane_depth(DOWN, 0.5)
+    depth[:, 90:] = plane_depth(DOWN, 0.5 + lower)[:, 90:]
+    seen = observe(depth + smooth_noise(rng, 0.001), WIDE)
+    assert -seen.floor.pose[:3, 3] @ seen.floor.pose[:3, 2] == pytest.approx(0.5, abs=0.01)
+    assert len(seen.rivals) == 1 and len(seen.other_floors) == rivals
+
+
 def test_a_plane_alone_has_no_rivals(rng):
     assert len(floors_of(plane_depth(DOWN, 0.5) + smooth_noise(rng, 0.001), WIDE)) == 1
 
 
 def test_what_may_stand_on_another_floor_may_be_missed():
-    seen = SimpleNamespace(correlation=0.0, agreed=True, no_floor=False, rivals=(), behind=np.zeros(4, bool),
+    seen = SimpleNamespace(correlation=0.0, agreed=True, no_floor=False, other_floors=(), behind=np.zeros(4, bool),
                            floor=SimpleNamespace(inliers=np.ones(4, bool)))  # fmt: skip
     missed = Missed()
     alone = missed_by([seen], {}, missed, 1.0)
-    seen.rivals = (Rival((0.0, -1.0, 0.0, 0.5), 0.3),)
+    seen.other_floors = (Rival((0.0, -1.0, 0.0, 0.5), 0.3),)
     assert 1.0 - missed_by([seen], {}, missed, 1.0) == pytest.approx(0.7 * (1.0 - alone))
 
 

@@ -114,8 +114,8 @@ def test_no_answer_is_surer_than_the_search():
     def told(part=None, explained=1.0, **seen):
         part = {"spots": [], "pixels": [300.0]} if part is None else part
         half, none = np.arange(10) < 5, np.zeros(10, bool)
-        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, "rivals": (), "behind": none,
-                                  "floor": SimpleNamespace(inliers=half), **seen})  # fmt: skip
+        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, "other_floors": (),
+                                  "behind": none, "floor": SimpleNamespace(inliers=half), **seen})  # fmt: skip
         return missed_by((seen,), part, missed, explained)
 
     assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()

@@ -12,6 +12,7 @@ from derender.detection.floor import (
     LEVEL,
     MOST_NOISE,
     NO_PLANE,
+    ROOM,
     ROUGHEST,
     SAY_FLOOR,
     USUAL,
@@ -112,6 +113,13 @@ class Observation(NamedTuple):
         """How large things are that are looked at from here, against those that are seen from USUAL; at most 1."""
         good = self.image.weight > 0
         return min(1.0, float(np.median(self.image.depth[good])) / USUAL) if good.any() else 1.0
+
+    @property
+    def other_floors(self) -> tuple[Rival, ...]:
+        """The rivals, but for the room's floor below a table, which is there too."""
+        a, b, c, d = plane_of(self.floor)
+        return tuple(rival for rival in self.rivals
+                     if np.dot(rival.plane[:3], [a, b, c]) < LEVEL or rival.plane[3] < d + ROOM)  # fmt: skip
 
     @property
     def surface(self) -> SeenSurface:
