@@ -81,6 +81,7 @@ BESIDE = 160  # columns for each pixel by which what a region touches may be off
 LEAST_SHARE = 0.001  # of the valid pixels that a region must have to be told
 MOST_IN_ALL = 0.04  # share of the valid pixels that may be unexplained
 MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
+ABOUT = 0.8  # share of what is about a region from which on it is the inside of what shows there
 MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
 SOME_BACKGROUND, MOST_OVER = 0.05, 0.04  # shares of the valid pixels: it counts; a region over the floor is too much
@@ -94,7 +95,7 @@ MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without retur
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
 FEW_PIXELS = 12  # of a solid say nothing of it as a whole
 FILLING = 0.5  # share of the image that one solid may fill
-CUT, MOST_CUT = 0.1, 0.25  # share of a solid's outline that lies on the image's border, to be told and to be serious
+CUT = 0.1  # share of a solid's outline that lies on the image's border, to be told
 ALONE, SEEN, NO_THING = 0.97, 0.9, 1.0  # share of the depths on one plane, of the pixels with one; metres it is wide
 NOISY = 4.0  # times the noise of flat patches, from which on a fitted noise hides something
 
@@ -153,8 +154,17 @@ def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     total = float(left.sum() / valid.sum())
     words = ", ".join(f"region {region.name} {region.where}" for region in found[:MOST_TOLD])
     more = f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
-    serious = total > MOST_IN_ALL or found[0].share > MOST_IN_ONE
+    shares = [0.0 if within_one(region.mask, fit.label) else region.share for region in found]
+    serious = total - sum(region.share for region in found) + sum(shares) > MOST_IN_ALL or max(shares) > MOST_IN_ONE
     return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, found)]
+
+
+def within_one(mask: np.ndarray, label: np.ndarray) -> bool:
+    """Return whether one object shows all about a mask (H, W), as a mug does about its own inside."""
+    from scipy.ndimage import binary_dilation
+
+    about = label[binary_dilation(mask, np.ones((5, 5))) & ~mask]
+    return bool(np.bincount(about)[1:].max(initial=0) > ABOUT * about.size)
 
 
 def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np.ndarray) -> list[Doubt]:
@@ -271,7 +281,7 @@ def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Dou
             doubts.append(Doubt(words, True, *about))
         elif share_cut > CUT:
             words = f"{name} is cut by the image's border: how big it is beyond is a guess"
-            doubts.append(Doubt(words, share_cut > MOST_CUT, *about))
+            doubts.append(Doubt(words, False, *about))
     return doubts
 
 

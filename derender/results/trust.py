@@ -42,6 +42,8 @@ APART = 5.0  # nats between the evidences of populations that a few lucky partic
 # Probability that each free-form thing of a trusted answer is an object, and that a trusted thing is one: of objects in
 # answers without a lesser thing .97 were there (106 answers to labelled real frames; .94 of all), of such things .97.
 LEAST_EXISTENCE, SURE_EXISTENCE = 0.6, 0.75
+MOST_NONE, FEW = 1.0, 0.05  # objects, and share of them, of which as many may be expected to be none
+OFF = 0.25  # of an object's length: by less its place, and what there is, are told all the same (an IoU of .6)
 
 
 class Doubt(NamedTuple):
@@ -103,6 +105,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         for name, (known, _) in posterior.meta.get("existence", {}).items()
         if known < SURE_EXISTENCE and name in posterior.best_part.graph.names
     ]  # fmt: skip
+    told += few_objects(posterior)
     told += [Doubt(f"{name} touches nothing: what bears it was not found", about=(name,))
              for name in posterior.meta.get("hanging", ())]  # fmt: skip
     if posterior.meta.get("interrupted"):
@@ -136,8 +139,18 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         words = f"the chains disagree about {row['address']}: {r_hat}{row['ess_bulk']:.0f} effective draws"
         names = {row["address"].partition(".")[0] for row in bad}
         own = names if names <= set(posterior.best_part.graph.names) else None  # else of the root or the likelihood
-        told.append(Doubt(f"{words}; --draws {enough_draws(rows)} would do", about=own))
+        far = own is None or any(left_open(posterior, row) > OFF * size_of(posterior, row).max() for row in bad)
+        told.append(Doubt(f"{words}; --draws {enough_draws(rows)} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
+
+
+def few_objects(posterior: "Posterior") -> list[Doubt]:
+    """Return a doubt where the objects' probabilities say that more of the best scene's are none than may be."""
+    solids = [vertex.name for vertex in posterior.best_part.graph.vertices if vertex.body.size() is not None]
+    none = sum(1.0 - posterior.object_probability(name) for name in solids)
+    if none <= max(MOST_NONE, FEW * len(solids)):
+        return []
+    return [Doubt(f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others")]
 
 
 def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
@@ -147,14 +160,18 @@ def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
     of it; inf for any other number. Real faces are off by the `faces` of a posterior's `meta`: chains that leave less
     open tell the same.
     """
-    name = row["address"].partition(".")[0]
-    graph = posterior.best_part.graph
-    size = graph.body(name).size() if name in graph.names else None
-    wide = 0.0 if size is None else float(np.linalg.norm(size))
+    wide = float(np.linalg.norm(size_of(posterior, row)))
     moves = {"mm": 1.0, "°": 0.5 * wide, **dict.fromkeys(("qw", "qx", "qy", "qz"), wide)}
     factor = moves.get(row["unit"] or row["address"].rpartition(".")[2])
     independent = max(row["ess_bulk"], 1.0) if np.isfinite(row["ess_bulk"]) else 1.0
-    return np.inf if size is None or factor is None else float(row["draws"].std() / np.sqrt(independent) * factor)
+    return np.inf if not wide or factor is None else float(row["draws"].std() / np.sqrt(independent) * factor)
+
+
+def size_of(posterior: "Posterior", row: Mapping[str, Any]) -> np.ndarray:
+    """Return the size (3,) of the object that a row is about, metres; zeros: of none, or of a plane."""
+    name, graph = row["address"].partition(".")[0], posterior.best_part.graph
+    size = graph.body(name).size() if name in graph.names else None
+    return np.zeros(3) if size is None else np.asarray(size)
 
 
 def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:

@@ -227,16 +227,21 @@ def test_of_a_single_draw_there_is_its_value_alone(report):
     assert "R-hat" not in text and "ranks" not in text and "Numbers of the most probable scene" in text
 
 
+EMPTY = SimpleNamespace(vertices=())
+
+
 def test_populations_that_disagree_are_told():
     """However few draws the likeliest structure has."""
-    part = SimpleNamespace(values=np.zeros((1, 2, 1)), extras={"log_evidence": [1.0, 9.0]})
+    part = SimpleNamespace(values=np.zeros((1, 2, 1)), extras={"log_evidence": [1.0, 9.0]}, graph=EMPTY)
     posterior = SimpleNamespace(meta={}, best_part=part)
     assert trust.chain_doubts(posterior, []) == (trust.Doubt("the populations' log evidences are 8.0 apart"),)
 
 
 def test_chains_that_stay_with_different_structures_are_told():
     meta = {"structure_chains": {"shares": [1.0, 0.0], "r_hat": None}}
-    posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((2, 50, 1)), extras={}))
+    posterior = SimpleNamespace(
+        meta=meta, best_part=SimpleNamespace(values=np.zeros((2, 50, 1)), extras={}, graph=EMPTY)
+    )
     (doubt,) = trust.chain_doubts(posterior, [])
     assert "the likeliest has 0.00 in one, 1.00 in another" in str(doubt)
 

@@ -43,9 +43,19 @@ def test_good_chains_need_no_more_than_they_have_and_a_margin():
 def seen_by_a_sensor(faces):
     """Return what stands for a posterior of a box of 12 by 16 by 0 cm, 10 cm from its middle to its corners."""
     body = SimpleNamespace(size=lambda: np.array([0.12, 0.16, 0.0]))
-    graph = SimpleNamespace(names=("box_1",), body=lambda name: body)
+    graph = SimpleNamespace(names=("box_1",), body=lambda name: body, vertices=())
     part = SimpleNamespace(values=np.zeros((2, 100, 1)), extras={}, graph=graph)
-    return SimpleNamespace(meta={"faces": faces}, best_part=part)
+    return SimpleNamespace(meta={"faces": faces}, best_part=part, object_probability=lambda name: 0.97)
+
+
+@pytest.mark.parametrize("count, known, expected", [(4, 0.7, True), (3, 0.7, False), (40, 0.96, False)])
+def test_an_answer_is_doubted_of_whose_objects_several_are_expected_to_be_none(count, known, expected):
+    """A desk of ten objects, each likelier there than not, was trusted: two of them were none."""
+    posterior = seen_by_a_sensor(0.0)
+    vertices = [SimpleNamespace(name=f"box_{k}", body=posterior.best_part.graph.body("")) for k in range(count)]
+    posterior.best_part.graph.vertices = vertices
+    posterior.best_part.values, posterior.object_probability = np.zeros((1, 1, 0)), lambda name: known
+    assert [doubt.serious for doubt in chain_doubts(posterior, [])] == [True] * expected
 
 
 @pytest.mark.parametrize(
@@ -59,7 +69,8 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
     assert not note.serious and "told to 0.5 mm" in note.words  # of 1 mm, by as good as three independent draws
     assert verdict((note,), rows) == [f"worth knowing: {note.words}"]
     for faces in (0.0, 0.0004):  # of a drawn image, and of one in which faces are off by less than the chains
-        assert not trusted(chain_doubts(seen_by_a_sensor(faces), rows))
+        (doubt,) = chain_doubts(seen_by_a_sensor(faces), rows)
+        assert doubt.about == {"box_1"} and not doubt.serious  # what there is, and where, they tell
 
 
 def test_chains_that_disagree_about_an_object_say_nothing_of_others():
