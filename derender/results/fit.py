@@ -181,6 +181,16 @@ class Explanation(NamedTuple):
             near = np.abs(self.depth - seen) < within
         return float(near[valid].mean()) if valid.any() else 0.0
 
+    def borne_out(self, seen: np.ndarray) -> dict[str, float]:
+        """Return for each object which share of the valid pixels of `seen` (H, W) that are to show it do."""
+        valid, found = np.isfinite(seen) & (seen > 0), {}
+        with np.errstate(invalid="ignore"):
+            near = np.abs(self.depth - seen) <= tolerance_of(seen, flat_noise(seen))
+        for place, name in enumerate(self.names):
+            own = valid & (self.label == place)
+            found[name] = float(near[own].mean()) if own.any() else 1.0
+        return found
+
 
 def explain(
     graph: SceneGraph,

@@ -147,12 +147,12 @@ class Posterior:
 
     def object_probability(self, name: str) -> float:
         """Return the probability that an object of this name is there: in the structures that were found, and in what
-        a search may have missed as often as the prior says, see `Missed`; how often a free-form thing is an object
-        was counted over all answers, those that missed something with them."""
+        a search may have missed as often as the prior says, see `Missed`: where it is likelier that something was,
+        more was. How often a free-form thing is an object was counted over all answers."""
         there = self._probability(lambda graph: name in graph.names)
         if name in self.meta.get("existence", {}):
             return there * self._existence(name)[0]
-        return there * (1.0 - self.meta.get("missed", 0.0) * self.meta.get("wrong_if_missed", 0.0))
+        return there * (1.0 - self.meta.get("missed", 0.0) ** 2 * self.meta.get("wrong_if_missed", 0.0))
 
     def _existence(self, name: str) -> tuple[float, float]:
         """Return the probability that a free-form thing of the structures is an object at all, and its error."""

@@ -19,7 +19,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
-from derender.results.check import LEAST_FLOOR
+from derender.results.check import LEAST_FITTING, LEAST_FLOOR
 from derender.results.fit import Explanation
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
@@ -244,6 +244,10 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         into = np.array(posterior.best_part.extras["into"])
         meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], case.frames, strict=True)]
     told = explanation_of(graph, observations, case.depth, case.camera)
+    for name, share in told.borne_out(case.depth).items():
+        if share < LEAST_FITTING:  # what is seen elsewhere, or is none
+            known, error = meta["existence"].get(name, (1.0, 0.0))
+            meta["existence"][name] = (share * known, error)
     believed = case.beliefs.loose.missed
     if case.library:  # of whose answers no spots are counted
         extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}

@@ -72,7 +72,7 @@ def test_what_a_search_may_have_missed_speaks_against_its_objects():
     _, one = part()
     meta = {"missed": 0.4, "wrong_if_missed": 0.5, "existence": {"low": (0.6, 0.1)}}
     posterior = Posterior((one.scaled(0.6),), meta=meta)
-    assert posterior.object_probability("top") == pytest.approx(0.8)
+    assert posterior.object_probability("top") == pytest.approx(0.92)
     assert posterior.object_probability("low") == pytest.approx(0.6), "counted over answers that missed something too"
 
 

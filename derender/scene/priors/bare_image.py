@@ -57,7 +57,7 @@ class Missed:
     unexplained: float = 0.05  # share of its pixels that solids do not explain at which e times fewer answers are right
     few: float = 0.3  # of each solid, did it show in no pixel
     pixels: float = 10.0  # independent ones in which it shows, e times less at each
-    wrong: float = 0.4  # share of the objects of an answer that are not there where it is one that missed what is
+    wrong: float = 0.4  # share of the objects of an answer that are not there, where it surely missed what is
     explained: float = 0.95
     error: float = 0.4  # standard error of what these come to, as a share of it: a few misses were counted
 
