@@ -17,9 +17,8 @@ from derender.posterior.forward import draw_documents, observe
 from derender.posterior.sampler import read_settings
 from derender.render.raycast.depth import render_depth
 from derender.report.animation import frames
-from derender.report.contents import likelihood_numbers
 from derender.report.pictures import DEPTH_ANCHORS, depth_limits, paint
-from derender.structures.given import infer_scene
+from derender.structures.given import infer_scene, targets
 from derender.structures.options import Options
 
 JOBS = 2
@@ -28,7 +27,6 @@ TIMES = (0.0, 0.3, 0.6, 1.2)
 ASCENTS = 10
 SHOWN_STEPS = (0, 2, 8, 12)
 STEP_LENGTH = 0.05
-ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
 CHAINS: Any = {"chains": 4, "draws": 1000, "warmup": 500}
 
 
@@ -82,13 +80,12 @@ def figure_5(path: Path, seed: int) -> Rows:
     camera = truth.camera
     clean, _ = render_depth(truth.graph.solids(), camera, antialias=8)
     depth = observe(truth.rng, clean, truth.likelihood)
-    numbers = likelihood_numbers(truth.likelihood)
-    scene = MapProblem(truth.graph, ADDRESSES, camera, depth, sigma=numbers["sigma"], blur=numbers["blur"],
-                       background=numbers["background"])  # fmt: skip
-    starts = np.random.default_rng(seed).uniform(*scene.domain[:2], (ASCENTS, len(ADDRESSES)))
+    ((target, _),) = targets(document, depth, camera, seed)
+    scene = MapProblem(target, target.values(truth.graph))
+    starts = np.random.default_rng(seed).uniform(*scene.domain[:2], (ASCENTS, len(scene.start)))
     steps = [scene.maximise(start, "gradient", iterations=30, step=STEP_LENGTH) for start in starts]
     newton = [scene.maximise(start, iterations=15, tolerance=1e-3) for start in starts]
-    best = scene.maximise(scene.values, iterations=15, tolerance=1e-3).costs[-1]
+    best = scene.maximise(scene.start, iterations=15, tolerance=1e-3).costs[-1]
     # Two nats for each of three parameters: where a posterior's draws are, an optimum is found.
     found = [int(np.argmax(costs < best + 6)) if costs.min() < best + 6 else None for _, costs in newton]
     climbed = [costs[min(12, len(costs) - 1)] for _, costs in steps]
@@ -97,7 +94,7 @@ def figure_5(path: Path, seed: int) -> Rows:
     grid = figure.add_gridspec(2, 5, width_ratios=(1, 1, 1, 1, 1))
     show(figure.add_subplot(grid[0, 0]), picture(truth.graph, camera), "observed (in colour)")
     for place, number in enumerate(SHOWN_STEPS):
-        graph = scene.scene(steps[shown][0][number])
+        graph = target.graph(scene.at(steps[shown][0][number]))
         show(figure.add_subplot(grid[0, 1 + place]), picture(graph, camera), f"t = {number} steps", "#3060d0")
     for place, (runs, words) in enumerate(((steps, f"fixed steps of {STEP_LENGTH}"), (newton, "Gauss-Newton"))):
         axes = figure.add_subplot(grid[1, :3] if place == 0 else grid[1, 3:])

@@ -9,12 +9,11 @@ by central differences of Eq. 1 itself (numbers of order one in float64: exact t
 slack, and the way sizes enter through (u, v) need no derivative of their own. The image's derivative is exact and never
 differenced.
 
-The free numbers of a scene graph become placed solids and their motions in compiled code, as do the images and their
-derivatives; the few steps on the way are not compiled.
+The numbers of a scene graph become placed solids and their motions by the code that chains walk with, as compiled as
+the images and their derivatives; the few steps on the way are not.
 """
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,19 +21,18 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
-from derender.posterior.compiled.evaluate import place as place_vertex
-from derender.posterior.compiled.model import NotCompiled, numbers_of, vertices_of
-from derender.posterior.compiled.prior import NEXT, SHAPES, SIZES, SOLID
+from derender.posterior.compiled.evaluate import put_all
+from derender.posterior.compiled.model import NotCompiled, chain_of, model_of
+from derender.posterior.compiled.prior import Chain, Model
 from derender.posterior.kernels.base import first_tuning, mixture, rescale
 from derender.registry import suggest
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import MOTION, Misfit, cost, new_misfit, normal_equations
-from derender.scene.graph import SceneGraph
-from derender.scene.shapes import shapes
+from derender.render.raycast.state import SIGMA
 from derender.scene.solids import MESH
 
 if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
+    from derender.posterior.target import SceneTarget
 
 
 class Domain(NamedTuple):
@@ -56,87 +54,22 @@ STEP = 1e-6  # of the differences: metres, radians, or shares
 SMALLEST = 1e-3  # metres: no extent is moved below this
 
 
-class Placement(NamedTuple):
-    """A graph as arrays, and where its free numbers go. N vertices, P free numbers.
-
-    vertex, slot : (P,) int64, row and column of `numbers` that a free number goes to.
-    """
-
-    vertices: np.ndarray  # as in Model
-    extents: np.ndarray  # as in Model
-    numbers: np.ndarray  # as in Chain (`compiled/prior.py`)
-    pose: np.ndarray  # as in Chain (`compiled/prior.py`)
-    relative: np.ndarray  # as in Chain (`compiled/prior.py`)
-    vertex: np.ndarray
-    slot: np.ndarray
-
-
-def new_placement(graph: SceneGraph, addresses: Sequence[str]) -> tuple[Placement, np.ndarray, Domain]:
-    """Return the graph's arrays, the present values of the free numbers, and their domain.
-
-    addresses : such as "red.contact.theta", "red.side".
-
-    Raises DerenderError for an address that is not there or a contact or shape that has no compiled form.
-    """
-    try:
-        vertices, extents = vertices_of(graph)
-    except NotCompiled as what:
-        raise DerenderError(f"{what} has no compiled form", remedy="use --method mcmc") from None
-    names, count = graph.names, len(graph.vertices)
-    numbers, pose = np.tile(numbers_of(graph), (2, 1, 1)), np.tile(np.eye(4), (2, count + 1, 1, 1))
-    pose[:, count] = graph.root_pose
-    vertex_of, slot = np.zeros((2, len(addresses)), np.int64)
-    lower, upper, period = np.zeros((3, len(addresses)))
-    for p, address in enumerate(addresses):
-        name, _, rest = address.partition(".")
-        if name not in names:
-            raise DerenderError(f"no number is called {address!r}", remedy=suggest(name, names))
-        n = vertex_of[p] = names.index(name)
-        vertex, of_contact = graph.vertices[n], rest.startswith("contact.")
-        known = graph.contact_parameters(name) if of_contact else shapes[vertex.shape].parameters
-        wanted = rest.removeprefix("contact.")
-        found = [k for k, parameter in enumerate(known) if parameter.name == wanted]
-        if not found:
-            raise DerenderError(f"no number is called {address!r}", remedy=suggest(wanted, [q.name for q in known]))
-        parameter = known[found[0]]
-        slot[p] = found[0] + (0 if of_contact else SHAPES)
-        period[p] = parameter.period or 0.0
-        lower[p], upper[p] = (0.0, period[p]) if parameter.period else (parameter.lower, parameter.upper)
-        if not of_contact:
-            lower[p] = max(lower[p], SMALLEST / max(extents[n, found[0] + 1].max(), 1e-9))
-    placement = Placement(vertices, extents, numbers, pose, np.eye(4), vertex_of, slot)
-    return placement, numbers[NEXT, vertex_of, slot], Domain(lower, upper, period)
-
-
 @njit(cache=True, nogil=True)
-def place(placement, values, poses, sizes):
-    """Write the poses (S, 4, 4) and sizes (S, 3) of the solids at these values (P,) of the free numbers."""
-    vertices, numbers, pose = placement.vertices, placement.numbers, placement.pose
-    for p in range(values.shape[0]):
-        numbers[NEXT, placement.vertex[p], placement.slot[p]] = values[p]
-    for n in range(placement.extents.shape[0]):
-        place_vertex(vertices, placement.extents, numbers, pose, placement.relative, n)
-        s = vertices[SOLID, n]
-        if s >= 0:
-            poses[s] = pose[NEXT, n]
-            sizes[s] = numbers[NEXT, n, SIZES:SHAPES]
-
-
-@njit(cache=True, nogil=True)
-def find_motions(placement, values, motions):
-    """Write the motion (P, S, MOTION) of every solid per unit of every free number."""
-    solids = motions.shape[1]
+def find_motions(model, chain, values, chosen, motions):
+    """Write the motion (n, S, MOTION) of every solid per unit of each of the values (P,) that are chosen (n,)."""
+    solids, parameters = motions.shape[1], np.empty(SIGMA + 1)
     trial = values.copy()
-    poses, after, before = np.empty((solids, 4, 4)), np.empty((solids, 4, 4)), np.empty((solids, 4, 4))
-    sizes, larger, smaller = np.empty((solids, 3)), np.empty((solids, 3)), np.empty((solids, 3))
-    place(placement, values, poses, sizes)
+    put_all(model, chain, parameters, values)
+    poses = chain.moved_pose.copy()
     scale = 0.5 / STEP
-    for p in range(values.shape[0]):
-        trial[p] = values[p] + STEP
-        place(placement, trial, after, larger)
-        trial[p] = values[p] - STEP
-        place(placement, trial, before, smaller)
-        trial[p] = values[p]
+    for p in range(len(chosen)):
+        trial[chosen[p]] = values[chosen[p]] + STEP
+        put_all(model, chain, parameters, trial)
+        after, larger = chain.moved_pose.copy(), chain.moved_size.copy()
+        trial[chosen[p]] = values[chosen[p]] - STEP
+        put_all(model, chain, parameters, trial)
+        before, smaller = chain.moved_pose, chain.moved_size
+        trial[chosen[p]] = values[chosen[p]]
         for k in range(solids):
             motion = motions[p, k]
             turn = np.zeros((3, 3))
@@ -203,45 +136,50 @@ def solve_positive(matrix, vector, held, step):
 
 
 @njit(cache=True, nogil=True)
-def _costs_at(misfit, placement, places, poses, sizes, costs):
-    for n in range(places.shape[0]):
-        place(placement, places[n], poses, sizes)
-        costs[n] = cost(misfit, poses, sizes)
+def _costs_at(misfit, model, chain, values, chosen, places, costs):
+    parameters = np.empty(SIGMA + 1)
+    for n in range(len(places)):
+        for p in range(len(chosen)):
+            values[chosen[p]] = places[n, p]
+        put_all(model, chain, parameters, values)
+        costs[n] = cost(misfit, chain.moved_pose, chain.moved_size)
 
 
 @njit(cache=True, nogil=True)
-def _equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian):
-    find_motions(placement, values, motions)
-    normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian)
+def _equations_at(misfit, model, chain, values, chosen, edges, motions, gradient, hessian):
+    find_motions(model, chain, values, chosen, motions)
+    put_all(model, chain, np.empty(SIGMA + 1), values)
+    normal_equations(misfit, chain.moved_pose, chain.moved_size, motions, edges, gradient, hessian)
 
 
 class Cost:
-    """Minus the log likelihood of a structure's numbers, up to a constant, and its derivatives.
+    """Minus the log likelihood of some of a scene's numbers, up to a constant, and its derivatives.
 
-    edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
+    misfit : Misfit of the scene's solids, for n numbers. model, chain : of a target. values : (P,), of which those
+        `chosen` (n,) move. edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
     """
 
-    def __init__(self, misfit: Misfit, placement: Placement, edges: bool = True) -> None:
-        self._arrays, self._edges = (misfit, placement), edges
-        count, solids = len(placement.vertex), len(misfit.kinds)
-        self._placed = np.empty((solids, 4, 4)), np.empty((solids, 3))
-        self._motions = np.empty((count, solids, MOTION))
+    def __init__(self, misfit: Misfit, model: Model, chain: Chain, values: np.ndarray, chosen: np.ndarray,
+                 edges: bool = True) -> None:  # fmt: skip
+        self._arrays, self._edges = (misfit, model, chain, values.copy(), chosen), edges
+        self._motions = np.empty((len(chosen), len(misfit.kinds), MOTION))
 
     def at(self, places: np.ndarray) -> np.ndarray:
-        """Return the costs (S,) at places (S, P)."""
+        """Return the costs (S,) at places (S, n)."""
         costs = np.empty(len(places))
-        _costs_at(*self._arrays, np.ascontiguousarray(places, np.float64), *self._placed, costs)  # type: ignore[call-arg]
+        _costs_at(*self._arrays, np.ascontiguousarray(places, np.float64), costs)  # type: ignore[call-arg]
         return costs
 
-    def equations(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gradient (P,) and Gauss-Newton Hessian (P, P) at values (P,), the last at which the cost was asked."""
-        gradient, hessian = np.empty(len(values)), np.empty((len(values), len(values)))
-        _equations_at(*self._arrays, values, *self._placed, self._motions, self._edges, gradient, hessian)  # type: ignore[call-arg]
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return gradient (n,) and Gauss-Newton Hessian (n, n) at the last place at which the cost was asked."""
+        count = len(self._motions)
+        gradient, hessian = np.empty(count), np.empty((count, count))
+        _equations_at(*self._arrays, self._edges, self._motions, gradient, hessian)  # type: ignore[call-arg]
         return gradient, hessian
 
-    def differences(self, values: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the gradient (P,) by central differences of these steps (P,): for comparison."""
-        costs = self.at(np.concatenate([values + np.diag(steps), values - np.diag(steps)])).reshape(2, -1)
+    def differences(self, place: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the gradient (n,) by central differences of these steps (n,): for comparison."""
+        costs = self.at(np.concatenate([place + np.diag(steps), place - np.diag(steps)])).reshape(2, -1)
         return (costs[0] - costs[1]) / (2.0 * steps)
 
 
@@ -259,7 +197,7 @@ def levenberg(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, to
     """
     values = domain.bring(start)
     value = cost.at(values[None])[0]
-    gradient, hessian = cost.equations(values)
+    gradient, hessian = cost.equations()
     path, costs, damping, step = [values], [value], DAMPING, np.zeros(len(values))
     for _ in range(iterations):
         outward = ((values <= domain.lower) & (gradient > 0.0)) | ((values >= domain.upper) & (gradient < 0.0))
@@ -275,7 +213,7 @@ def levenberg(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, to
         if gained > 0.0:
             values, value = trial, value - gained
             damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), LEAST_DAMPING)
-            gradient, hessian = cost.equations(values)
+            gradient, hessian = cost.equations()
             path.append(values)
             costs.append(value)
             if gained < tolerance:
@@ -303,7 +241,7 @@ def fixed_steps(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, 
     for _ in range(iterations + 1):
         values = path[-1]
         costs.append(cost.at(values[None])[0])
-        gradient = scale * (cost.differences(values, difference * scale) if difference else cost.equations(values)[0])
+        gradient = scale * (cost.differences(values, difference * scale) if difference else cost.equations()[0])
         steepness = np.linalg.norm(gradient)
         if steepness == 0.0:
             break
@@ -313,69 +251,64 @@ def fixed_steps(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, 
 
 METHODS = ("gauss-newton", "gradient", "finite-difference")  # the last: the second, by a derivative that is not exact
 COLDER = tuple(2.0 ** np.arange(0.0, 10.0, 0.5))  # what the likelihood is raised to, one after the other
+ROBUST = 8.0  # nats at which a pixel counts as an outlier, where some may be
 COLD_STEPS, GAIN = 100, 3.0  # at each, of each block of unknowns; of their scales for a rate wrong by 1
 DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
 
 
 class MapProblem:
-    """The posterior density of some numbers of a scene graph given one depth image, and ways to its top.
+    """The posterior density of a scene's contact and shape numbers given its image, antialiased, and ways to its top.
 
-    graph : SceneGraph with compiled contacts. addresses : the free numbers, such as "red.contact.theta", "red.side".
-    camera : Camera. observed : (height, width) metres, NaN or 0 where nothing returned.
-    sigma : metres, a number or (height, width). blur : pixels. background : metres where nothing is hit (Eq. 6).
-    limit : nats at which a pixel counts as an outlier; infinite for Eq. 6 itself.
-    ranges : {address: (lower, upper)} narrower than the parameters' own; an angle so given no longer goes round. Priors
-        are uniform in these ranges.
+    target : SceneTarget. values : (P,), at which all other numbers are held. Priors are taken as uniform where they are
+        not zero; the likelihood as normal, or as robust where the target's is any other.
     edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
 
-    Raises DerenderError : an unknown address, a contact type without compiled form.
+    places : (n,) numbers of the unknowns, and where these begin among the values; start : (n,) their present values.
+
+    Raises DerenderError : something of the scene has no compiled form or no exact derivative, or nothing can move.
     """
 
-    def __init__(
-        self,
-        graph: SceneGraph,
-        addresses: Sequence[str],
-        camera: "Camera",
-        observed: np.ndarray,
-        *,
-        sigma: float = 0.005,
-        blur: float = 1.0,
-        background: float = 10.0,
-        limit: float = math.inf,
-        ranges: dict[str, tuple[float, float]] | None = None,
-        edges: bool = True,
-    ) -> None:
-        self.graph, self.addresses = graph, tuple(addresses)
-        self.placement, self.values, self.domain = new_placement(graph, self.addresses)
-        count = len(self.addresses)
-        for address, (low, high) in (ranges or {}).items():
-            p = self.addresses.index(address)
-            whole = self.domain.period[p] > 0 and abs(high - low - self.domain.period[p]) < 1e-9
-            if not whole:
-                self.domain.lower[p], self.domain.upper[p], self.domain.period[p] = low, high, 0.0
-        observed = np.asarray(observed, float)
-        seen = np.isfinite(observed) & (observed > 0)
-        spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
-        self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
-        kinds = graph.solids().kind
-        if (kinds == MESH).any():
+    def __init__(self, target: "SceneTarget", values: np.ndarray, edges: bool = True) -> None:
+        self.target, self.values, space = target, np.array(values, np.float64), target.space
+        moving = [(unknown, int(offset)) for unknown, offset in zip(space.unknowns, space.offsets, strict=False)
+                  if unknown.distribution.size == 1 and not unknown.distribution.discrete
+                  and unknown.address.partition(".")[0] not in ("root", "likelihood")]  # fmt: skip
+        solids = target.graph(self.values).solids()
+        try:
+            model, chain = model_of(target), chain_of(target, cycle=False)
+        except NotCompiled as what:
+            raise DerenderError(f"{what} has no compiled form", remedy="use --method mcmc") from None
+        if not moving or (solids.kind == MESH).any():
             raise DerenderError("meshes have no exact derivative", remedy="give boxes, cubes, cylinders or spheres")
-        fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit)
-        self._cost = Cost(fine, self.placement, edges)
+        self.chosen = np.array([offset for _, offset in moving])
+        self.start, supports = self.values[self.chosen], [unknown.distribution.support for unknown, _ in moving]
+        least = [-math.inf if ".contact." in unknown.address else SMALLEST for unknown, _ in moving]
+        lower, upper = np.maximum(np.array(supports)[:, 0], least), np.array(supports)[:, 1]
+        self.domain = Domain(lower, upper, np.array([unknown.period or 0.0 for unknown, _ in moving]))
+        numbers = {key.removeprefix("likelihood."): value for key, value in target.by_address(values).items()}
+        images: Any = target.images
+        numbers, observed = {**images.values, **numbers}, images.observed
+        seen, sigma = np.isfinite(observed) & (observed > 0), numbers.get("sigma", 0.005)
+        self._constant = -float(np.sum(seen)) * (math.log(sigma) + 0.5 * math.log(2 * math.pi))
+        limit = math.inf if images.type == "gaussian" else ROBUST
+        fine = new_misfit(images.camera, observed, sigma, solids.kind, len(moving),
+                          blur_taps(numbers.get("blur", 0.0)), numbers.get("background", 10.0), limit)  # fmt: skip
+        self._cost = Cost(fine, model, chain, self.values, self.chosen, edges)
 
-    def scene(self, values: np.ndarray) -> SceneGraph:
-        """Return the graph with these (P,) values."""
-        return self.graph.with_numbers(dict(zip(self.addresses, map(float, values), strict=True)))
+    def at(self, place: np.ndarray) -> np.ndarray:
+        """Return all values (P,) with these (n,) that move."""
+        values = self.values.copy()
+        values[self.chosen] = place
+        return values
 
-    def log_density(self, values: np.ndarray) -> float:
+    def log_density(self, place: np.ndarray) -> float:
         """Return Eq. 6's log likelihood on the antialiased image."""
-        return self._constant - float(self._cost.at(np.atleast_2d(values))[0])
+        return self._constant - float(self._cost.at(np.atleast_2d(place))[0])
 
-    def slope(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gradient (P,) of the log density at `values` and its Gauss-Newton precision (P, P)."""
-        values = np.array(values, np.float64)
-        self._cost.at(values[None])
-        gradient, hessian = self._cost.equations(values)
+    def slope(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gradient (n,) of the log density at a place (n,) and its Gauss-Newton precision (n, n)."""
+        self._cost.at(np.atleast_2d(place))
+        gradient, hessian = self._cost.equations()
         return -gradient, hessian
 
     def maximise(
@@ -408,30 +341,15 @@ def climb(
     All unknowns are `cooled`. An ascent then moves contact and shape numbers on the antialiased image under uniform
     priors in the target's ranges; the target's own density decides, so neither approximation can make things worse.
     """
-    rng = np.random.default_rng(0) if rng is None else rng
-    space, best = target.space, cooled(rng, target, values)
-    chosen, ranges = [], {}
-    for unknown, offset in zip(space.unknowns, space.offsets, strict=False):
-        name = unknown.address.partition(".")[0]
-        if unknown.distribution.size == 1 and not unknown.distribution.discrete and name not in ("root", "likelihood"):
-            chosen.append(int(offset))
-            ranges[unknown.address] = unknown.distribution.support
-    if not chosen:
-        return best
-    numbers = target.by_address(best)
-    likelihood = {**target.images.values, **{key.removeprefix("likelihood."): value for key, value in numbers.items()}}
+    best = cooled(np.random.default_rng(0) if rng is None else rng, target, values)
     try:
-        problem = MapProblem(target.graph(best), list(ranges), target.images.camera, target.images.observed,
-                             sigma=likelihood.get("sigma", 0.005), blur=likelihood.get("blur", 0.0),
-                             background=likelihood.get("background", 10.0), ranges=ranges,
-                             limit=math.inf if target.images.type == "gaussian" else 8.0)  # fmt: skip
+        problem = MapProblem(target, best)
     except DerenderError:
         return best
     density = target.log_prior(best) + target.log_likelihood(best)
     method = "gauss-newton" if gradient == "exact" else gradient
-    for end in problem.maximise(problem.values, method, step=0.005).path:
-        trial = best.copy()
-        trial[chosen] = end
+    for end in problem.maximise(problem.start, method, step=0.005).path:
+        trial = problem.at(end)
         log_prior = target.log_prior(trial)
         if log_prior > -math.inf:
             value = log_prior + target.log_likelihood(trial)

@@ -2,47 +2,40 @@
 
 import numpy as np
 import pytest
+from small_scenes import read
 
 from derender import data_path
 from derender.document import read_document
 from derender.errors import DerenderError
-from derender.posterior.ascent import MapProblem, climb, find_motions, new_placement, place
+from derender.posterior.ascent import MapProblem, climb, find_motions
+from derender.posterior.compiled.model import chain_of, model_of
 from derender.posterior.forward import draw_documents, observe
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.normal_equations import MOTION
 from derender.scene.pose import inverse
 from derender.structures.given import targets
 
-ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
+FIGURE = data_path("priors/figure-5.yaml").read_text()
+OPEN = FIGURE.replace("theta: 20 deg, x", "theta: {uniform: [0, 90 deg]}, x").replace("u: 0.45", "u: {uniform: [0, 1]}")
 
 
 def problems(count: int, **settings):
-    document = read_document(data_path("priors/figure-5.yaml"))
+    document = read(FIGURE)
     for draw in draw_documents(document, count, 3, {}):
         clean, _ = render_depth(draw.graph.solids(), draw.camera, antialias=8, background=10.0)
         depth = observe(draw.rng, clean, draw.likelihood)
-        yield MapProblem(draw.graph, ADDRESSES, draw.camera, depth, sigma=0.01, blur=1.0, **settings), draw, depth
-
-
-def test_placement_equals_the_graph():
-    """Eq. 1 compiled gives the poses of the readable graph to rounding."""
-    (_, draw, _) = next(problems(1))
-    placement, values, _ = new_placement(draw.graph, [*ADDRESSES, "red.side", "green.contact.x"])
-    changed = values + [0.1, 0.05, -0.05, 0.01, 0.02]
-    solids = draw.graph.with_numbers(
-        dict(zip([*ADDRESSES, "red.side", "green.contact.x"], changed, strict=True))
-    ).solids()
-    poses, sizes = np.zeros_like(solids.pose), np.zeros_like(solids.size)
-    place(placement, changed, poses, sizes)
-    assert np.allclose(poses, solids.pose, atol=1e-12) and np.allclose(sizes, solids.size, atol=1e-12)
+        ((target, _),) = targets(document, depth, draw.camera, 0)
+        yield MapProblem(target, target.values(draw.graph), **settings)
 
 
 def test_descendants_share_their_ancestors_motion():
     """Eqs. 7-9: a contact's parameter moves the vertex and all below it by one rigid motion, and nothing else."""
-    (_, draw, _) = next(problems(1))
-    placement, values, _ = new_placement(draw.graph, ["green.contact.theta", "red.contact.u"])
-    motions = np.zeros((2, 4, MOTION))
-    find_motions(placement, values, motions)
+    document = read(OPEN)
+    (draw,) = draw_documents(document, 1, 3, {})
+    ((target, _),) = targets(document, np.ones(draw.camera.shape), draw.camera, 0)
+    motions, addresses = np.zeros((2, 4, MOTION)), target.space.addresses
+    chosen = np.array([addresses.index(address) for address in ("green.contact.theta", "red.contact.u")])
+    find_motions(model_of(target), chain_of(target, False), target.values(draw.graph), chosen, motions)
     names = draw.graph.solid_names
     green, red, yellow, floor = (names.index(name) for name in ("green", "red", "yellow", "floor"))
     # 1e-8: differences with steps of 1e-6 of numbers of order one in float64
@@ -74,8 +67,8 @@ def test_gradient_by_contact_parameters():
     """
     wrong = []
     for edges in (True, False):
-        for problem, _, _ in problems(4, edges=edges):
-            values = problem.values + [0.04, 0.02, -0.02]
+        for problem in problems(4, edges=edges):
+            values = problem.start + [0.04, 0.02, -0.02]
             values = problem.domain.bring(values)
             reference = slopes(problem, values, np.array([0.02, 0.008, 0.008]))
             gradient, _ = problem.slope(values)
@@ -86,9 +79,9 @@ def test_gradient_by_contact_parameters():
 
 def test_gauss_newton_finds_the_truth():
     """From some pixels off the end is within 3 nats of the truth or above; every step goes up and stays inside."""
-    for problem, _, _ in problems(4):
-        path, costs = problem.maximise(problem.domain.bring(problem.values + [0.06, 0.03, -0.03]))
-        assert -costs[-1] > problem.log_density(problem.values) - 3.0
+    for problem in problems(4):
+        path, costs = problem.maximise(problem.domain.bring(problem.start + [0.06, 0.03, -0.03]))
+        assert -costs[-1] > problem.log_density(problem.start) - 3.0
         assert np.all(np.diff(costs) < 0)
         assert np.allclose(problem.domain.bring(path[-1]), path[-1])
 
@@ -96,9 +89,9 @@ def test_gauss_newton_finds_the_truth():
 @pytest.mark.slow
 def test_fixed_steps_climb_by_either_gradient():
     """Figure 5's steps of alpha = 0.05 gain most of what there is to gain from a near start, by both derivatives."""
-    (problem, draw, _) = next(problems(1))
-    truth = problem.log_density(problem.values)
-    start = problem.domain.bring(problem.values + [0.25, 0.1, -0.1])
+    problem = next(problems(1))
+    truth = problem.log_density(problem.start)
+    start = problem.domain.bring(problem.start + [0.25, 0.1, -0.1])
     for method in ("gradient", "finite-difference"):
         _, costs = problem.maximise(start, method, iterations=12)
         assert -costs.min() > truth - 0.2 * (truth + costs[0])
@@ -107,10 +100,10 @@ def test_fixed_steps_climb_by_either_gradient():
 def test_the_precision_at_the_mode_covers_the_truth():
     """The truth is where the normal approximation at the mode says: its squared distance is chi-square with 3 degrees,
     below 16.3 in 99.9 % of images."""
-    for problem, _, _ in problems(4):
-        found = problem.maximise(problem.values).path[-1]
+    for problem in problems(4):
+        found = problem.maximise(problem.start).path[-1]
         _, precision = problem.slope(found)
-        away = found - problem.values
+        away = found - problem.start
         assert away @ precision @ away < 16.3
 
 
@@ -132,11 +125,9 @@ def test_climbing_from_a_draw_never_makes_it_worse():
 
 
 def test_faults():
-    (problem, draw, depth) = next(problems(1))
-    with pytest.raises(DerenderError, match="did you mean"):
-        MapProblem(draw.graph, ["yelow.contact.u"], draw.camera, depth)
+    problem = next(problems(1))
     with pytest.raises(DerenderError, match="newton"):
-        problem.maximise(problem.values, "gaus-newton")
+        problem.maximise(problem.start, "gaus-newton")
 
 
 RING = """
