@@ -4,7 +4,6 @@ Python runs it for models of which something has no compiled form, and takes the
 """
 
 import math
-from collections import deque
 from collections.abc import Callable
 from copy import copy
 from typing import Any, NamedTuple
@@ -41,7 +40,31 @@ class _Engine(NamedTuple):
     parameters: None = None  # None, there are no arrays to keep
 
 
-class InterpretedBackend:
+class _Programmed:
+    """What both kinds of backends keep of tunings.
+
+    target, parts : the posterior and the mixture. elsewhere : numbers of kernels whose steps are taken between sweeps.
+    calls : what each kernel calls.
+    """
+
+    def __init__(self, target: Any, parts: list[Part], elsewhere: frozenset[int], calls: list[Calls]) -> None:
+        self.target, self.parts, self._elsewhere, self._calls = target, parts, elsewhere, calls
+        self._programs: dict[tuple[int, int], tuple[Tuning, Kernels]] = {}
+
+    def program(self, tuning: Tuning) -> Kernels:
+        """Return the mixture's arrays under a tuning; what follows from its fit is made once, for all twins."""
+        key = id(tuning.covariance), id(tuning.archive)  # of arrays that live on in the tuning that is kept
+        if key not in self._programs:
+            made = kernels_of(self.target.space, self.parts, tuning, self._elsewhere, self._places(tuning), self._calls)
+            self._programs[key] = tuning, made
+        return rescaled(self.target.space, self.parts, tuning, self._programs[key][1])
+
+    def _places(self, tuning: Tuning) -> Places:
+        """Return the places of kernels that put objects down."""
+        return {}
+
+
+class InterpretedBackend(_Programmed):
     """Runs a mixture on any target, a few thousand steps a second: the compiled sweep's own source, not compiled.
 
     What the compiled sweep asks of the engine, densities, is asked of the target here. Where objects are in the world
@@ -51,9 +74,10 @@ class InterpretedBackend:
     """
 
     def __init__(self, target: Target, parts: list[Part], cycle: bool = False, **replaced: Callable) -> None:
-        self.target, self.parts, self.cycle, self.replaced = target, parts, cycle, replaced
+        self.cycle, self.replaced, self._called = cycle, replaced, list[Callable]()
         space, size = target.space, len(target.space.addresses)
-        self._called: list[Callable] = []
+        taken = [part._replace(weight=0.0) if kernels[part.type].form == PLACING else part for part in parts]
+        super().__init__(target, taken, frozenset(), [self._calls_of(part) for part in parts])
         unknowns, laws = laws_of(space, getattr(target, "folds", {}), self._number_of)
         self._model = Model(unknowns, laws, np.zeros((4, size), np.int64), NO_ARRAY, NO_ARRAY, NO_ARRAY, 0)
         self._chain = Chain(
@@ -61,10 +85,8 @@ class InterpretedBackend:
             moved_size=NO_ARRAY, tangents=np.zeros((2, max(int(space.directions[-1]), 3))),
             relative=NO_ARRAY, flags=np.array([0, 0, cycle]),
         )  # fmt: skip
-        self._calls = [self._calls_of(part) for part in parts]
         own: dict[str, Callable] = {"call_for_number": self._call, "evaluate": _evaluate, "settle": _settle}
         self._sweep = interpreted(sweep, **(own | replaced))
-        self._tuned: tuple[Tuning, Kernels] | None = None
 
     def twin(self) -> "InterpretedBackend":
         return InterpretedBackend(self.target, self.parts, self.cycle, **self.replaced)
@@ -73,15 +95,6 @@ class InterpretedBackend:
         """Return log prior and log likelihood; outside the prior's support the likelihood is not asked for."""
         log_prior = self.target.log_prior(values)
         return (log_prior, self.target.log_likelihood(values)) if log_prior > -math.inf else (-math.inf, -math.inf)
-
-    def program(self, tuning: Tuning) -> Kernels:
-        """Return the mixture's arrays under a tuning."""
-        if self._tuned is None or self._tuned[0] is not tuning:
-            placing = [k for k, part in enumerate(self.parts) if kernels[part.type].form == PLACING]
-            taken = [part._replace(weight=0.0) if k in placing else part for k, part in enumerate(self.parts)]
-            places: Places = dict.fromkeys(placing, ((), np.empty(0)))
-            self._tuned = tuning, kernels_of(self.target.space, taken, tuning, frozenset(), places, self._calls)
-        return self._tuned[1]
 
     def sweep(
         self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
@@ -152,10 +165,7 @@ class LoadedTarget:
         return self._backend.evaluate(values)[1]
 
 
-MOST_PROGRAMS = 24  # that are remembered: those of a ladder and of the chains that warm up
-
-
-class CompiledBackend:
+class CompiledBackend(_Programmed):
     """Runs a mixture on a SceneTarget compiled; one object per thread, the others of which are its twins.
 
     Kernels that move likelihood numbers whose change means to draw or score the whole image anew are interpreted, in
@@ -165,16 +175,14 @@ class CompiledBackend:
     """
 
     def __init__(self, target: Any, parts: list[Part], cycle: bool = False) -> None:
-        self.target, self.parts, self.cycle = target, parts, cycle
-        self.model = model_of(target)
-        self.held, self._elsewhere = held(target), taken_elsewhere(target, parts)
+        self.cycle, self.model, self.held = cycle, model_of(target), held(target)
         somewhere = target.space.sample(np.random.default_rng(0))
         self._first = target.graph(somewhere).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
-        self._blank = chain_of(target, cycle), evaluator
-        self._calls = calls_of(target, parts, self.model, self._blank[0])
-        self._programs: deque[tuple[Tuning, Kernels, Places]] = deque(maxlen=MOST_PROGRAMS)
+        chain = chain_of(target, cycle)
+        self._blank = chain, evaluator
+        super().__init__(target, parts, taken_elsewhere(target, parts), calls_of(target, parts, self.model, chain))
         self._begin()
 
     def _begin(self) -> None:
@@ -182,7 +190,6 @@ class CompiledBackend:
         chain, evaluator = self._blank
         self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         self._loaded = np.empty(0)
-        self._tuned: tuple[Tuning, Kernels] | None = None
         target = LoadedTarget(self)
         only: Callable = lambda *_: 0  # noqa: E731 - which kernel takes the step has been drawn already
         self._interpreted = {k: InterpretedBackend(target, [self.parts[k]], pick=only) for k in self._elsewhere}
@@ -212,27 +219,9 @@ class CompiledBackend:
         prior, likelihood = self.chain.values[NOW, [PRIOR, DENSITY]]
         return (float(prior), float(likelihood)) if prior > -np.inf else (-np.inf, -np.inf)
 
-    def program(self, tuning: Tuning) -> Kernels:
-        """Return the mixture's arrays under a tuning; those of the last ones are kept, for all twins."""
-        tuned = self._tuned
-        if tuned is None or tuned[0] is not tuning:
-            tuned = self._tuned = tuning, self._program(tuning)
-        return tuned[1]
-
-    def _program(self, tuning: Tuning) -> Kernels:
-        places = None
-        for former, program, seen in list(self._programs):
-            same = [getattr(former, field) is getattr(tuning, field) for field in ("mean", "covariance", "archive")]
-            if all(same):
-                return rescaled(self.target.space, self.parts, tuning, program)
-            if same[2] and (tuning.archive is not None or same[0]):
-                places = seen
-        if places is None:
-            chain = Chain(*(array.copy() for array in self._blank[0]))
-            places = places_seen(self.target, self.parts, self.model, chain, tuning.places)
-        program = kernels_of(self.target.space, self.parts, tuning, self._elsewhere, places, self._calls)
-        self._programs.append((tuning, program, places))
-        return program
+    def _places(self, tuning: Tuning) -> Places:
+        chain = Chain(*(array.copy() for array in self._blank[0]))
+        return places_seen(self.target, self.parts, self.model, chain, tuning.places)
 
     def sweep(
         self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
