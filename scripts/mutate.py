@@ -98,8 +98,8 @@ MUTATIONS = [
          "log_jacobian -= math.log(area_element(", "log_jacobian -= 0.5 * math.log(area_element(", COMPILED),
         ("compiled: rests-on x .25", "posterior/compiled/prior.py", "total -= 0.5 * (away / row[SOFTNESS]) ** 2",
          "total -= 0.125 * (away / row[SOFTNESS]) ** 2", (*COMPILED, *RELATIONS)),
-        ("pilots: exchange the wrong way", "posterior/sampler.py", "(logs[r + 1, 1] - logs[r, 1])",
-         "(logs[r, 1] - logs[r + 1, 1])", ("tests/posterior/test_pilots.py",)),
+        ("populations: each counts alike", "posterior/sampler.py", "np.exp(logs - logs.max())",
+         "np.ones(len(logs))", ("tests/posterior/test_pilots.py",)),
         # terms of priors
         ("rests-on x .25", "scene/priors/terms.py", "-0.5 * (away / self.slack) ** 2",
          "-0.125 * (away / self.slack) ** 2",

@@ -1,34 +1,33 @@
-"""The sampler of a fixed structure, start, warm-up that adapts, draws that do not; and `inference:`, its settings.
+"""The sampler of a fixed structure: start, warm-up that adapts, draws that do not; and `inference:`, its settings.
 
 Populations follow prior x likelihood^b (Del Moral, Doucet, Jasra 2006): particles start from the prior, and b rises
 from 0 to 1 as far as the weights' effective number bears; at each stage particles are resampled and moved by a mixture
 of kernels. It finds the one mode that matters among many. The product of the mean weights estimates the evidence;
 adaptive stages bias it by O(1 / n).
 
-Pilots look together, before any draw is kept, for where the posterior is and how to walk on it. Populations find good
-places. From there each chain climbs a ladder of temperatures (Geyer 1991): on the levels above the first the likelihood
-is raised to a power below one, narrow modes are wide there, and neighbours exchange their places by the Metropolis
-rule. What the first level has seen by the end fixes the tuning that every chain starts with. What one chain missed
-another found: only together do they know all modes.
+Before any draw is kept, populations find together where the posterior is: what one missed another found, and each
+counts by its evidence. From their particles walks go out, at a temperature of one and in between at higher ones; those
+that end highest are followed. Steps and an archive of places are fitted to them, stage by stage. There chains start,
+and only the scales of their steps adapt in their warm-up.
 """
 
-import functools
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.compilation.threads import in_threads
 from derender.errors import DerenderError
 from derender.posterior.compiled.backend import Backend, backend_of
+from derender.posterior.compiled.prior import Stretch
 from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, rescale
 from derender.posterior.space import Space
 from derender.sampling.chains import Segment
-from derender.sampling.metropolis import log_threshold
 from derender.scene.priors.terms import MOST_TRIES
 
 KEYS = ("kernels", "order", "thin", "particles", "population", "chains", "draws", "warmup")
@@ -82,12 +81,20 @@ def read_settings(section: Any) -> Settings:
     return settings
 
 
+class Walk(NamedTuple):
+    """Some rounds of steps whose scales adapt."""
+
+    later: np.ndarray  # (n, P), the places of its later half
+    height: float  # mean log posterior density there
+    scale: Mapping[str, float]  # to which it adapted
+
+
 @dataclass(eq=False)
 class MixtureSampler:
     """A mixture or cycle of kernels on a target, for `chains.run_chain`.
 
-    population : particles of each tempered population that `prepared` sends out to find the mode; 1: none, the start
-        is the resampled draw.
+    population : particles of each tempered population that `prepared` sends out to find the mode; 1: none, walks begin
+        at importance resampled draws.
     """
 
     segment: int = field(default=100, init=False)
@@ -97,10 +104,10 @@ class MixtureSampler:
     cycle: bool = False  # kernels take turns instead of being drawn by weight
     particles: int = 100  # draws from the prior of which importance resampling takes the start
     population: int = 16
-    places: np.ndarray | None = None  # (n, P) that pilots found, and what fits them
-    learned: Tuning | None = None
+    places: np.ndarray | None = None  # (n, P) to start from; None: they are looked for
+    learned: Tuning | None = None  # what fits them
 
-    @functools.cached_property
+    @cached_property
     def _first(self) -> Backend:
         return backend_of(self.target, self.parts, self.cycle)
 
@@ -108,56 +115,79 @@ class MixtureSampler:
         """Return what runs the mixture, for one thread and one stretch: it outlives none of the values returned."""
         return self._first.twin()
 
-    def prepared(self, seed: int, chains: int, jobs: int) -> "MixtureSampler":
-        """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
-        if self.population <= 1:
-            return self
-        walking = [part for part in self.parts if part.type in LOCAL] or self.parts
-        local = backend_of(self.target, walking, self.cycle)
-        backends = [self.backend() for _ in range(chains)]
-        movers = [local.twin() for _ in range(chains)]
-        found = pilot_runs(self.target.space, backends, self.parts, movers, seed, jobs, self.thin, self.population,
-                    self.particles)  # fmt: skip
-        if found is None:  # nothing possible: each chain starts from the prior on its own
-            return self
-        sampler = copy(self)
-        sampler.places, sampler.learned = found
-        return sampler
+    def prepared(self, seed: int) -> "MixtureSampler":
+        """Return the sampler with typical places that walks met together, and the steps that fit them."""
+        rng, space, prepared = np.random.default_rng([seed, 3]), self.target.space, copy(self)
+        places = self.first_places(rng)
+        starts, hot, kept = places[:WALKS], places[:0], list[Walk]()
+        tuning = fitted_to(space, first_tuning(space, places[0]), places, hot)
+        for temperature, rounds in STAGES:
+            tuning = tuning._replace(temperature=temperature)
+            walks = in_threads(rng, [partial(self.walked, values=one, tuning=tuning, rounds=rounds) for one in starts])
+            names = walks[0].scale
+            means = {name: float(np.exp(np.mean([np.log(walk.scale[name]) for walk in walks]))) for name in names}
+            if temperature < 1.0:
+                met = np.concatenate([walk.later for walk in walks])
+                hot = np.concatenate([spread_out(met, BORROWED), hot])[:MOST_BORROWED]
+            else:
+                both = [*kept, *walks]
+                heights = np.array([walk.height for walk in both])
+                walks = kept = [both[k] for k in systematic(rng, np.exp(heights - heights.max()), WALKS)]
+                places = np.concatenate([places[len(places) // 2 :], *(walk.later for walk in kept)])
+            starts = np.array([walk.later[-1] for walk in walks])
+            tuning = fitted_to(space, tuning._replace(scale=means), places, hot)
+        prepared.places, prepared.learned = places, tuning
+        return prepared
 
-    def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    def first_places(self, rng: np.random.Generator) -> np.ndarray:
+        """Return places (n, P), at least one for each walk: those given, importance resampled draws, or particles of
+        some populations, each of these by its evidence."""
         space = self.target.space
         if self.places is not None:
-            values = self.places[int(rng.random() * len(self.places))]
-        else:
-            values = importance_resampling(rng, space, self.backend(), self.particles)
-        tuning = self.learned or first_tuning(space, values)
-        return _pack(values, tuning, np.empty((0, len(values))), self.parts)
+            return np.resize(self.places, (WALKS, self.places.shape[1]))
+        if self.population <= 1:
+            backend = self.backend()
+            return np.array([importance_resampling(rng, space, backend, self.particles) for _ in range(WALKS)])
+        walking = [part for part in self.parts if part.type in LOCAL] or self.parts
+        local = backend_of(self.target, walking, self.cycle)
+        found = in_threads(rng, [
+            partial(tempered, space=space, backend=local.twin(), parts=walking, particles=self.population,
+                    steps=START_STEPS, drawn=self.particles, share=SHARE) for _ in range(POPULATIONS)
+        ])  # fmt: skip
+        logs = np.array([each.log_evidence for each in found])
+        values, weights = np.concatenate([each.values for each in found]), np.exp(logs - logs.max())
+        return values[rng.permutation(systematic(rng, np.repeat(weights, self.population)))]
+
+    def walked(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, rounds: int, taken: int = 0) -> Walk:
+        """Return the Walk of so many rounds, in which the scales of its steps adapt. taken : steps before."""
+        backend, met, scale = self.backend(), list[Stretch](), tuning.scale
+        for turn in range(0, rounds, STRETCH):
+            met.append(backend.sweep(rng, values, tuning._replace(scale=scale), min(STRETCH, rounds - turn), self.thin,
+                                     taken + turn * self.thin))  # fmt: skip
+            values, gain = met[-1].values[-1], 3.0 / math.sqrt(1.0 + turn / STRETCH)
+            scale = rescale(scale, self.parts, met[-1].counts, gain)
+        densities = np.concatenate([one.densities for one in met])[rounds // 2 :]
+        later = np.concatenate([one.values for one in met])[rounds // 2 :]
+        return Walk(later, float(densities.sum(axis=1).mean()), scale)
+
+    def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        assert self.places is not None and self.learned is not None, "prepared first"
+        values, counts = self.places[int(rng.random() * len(self.places))], np.zeros((len(self.parts), 2), np.int64)
+        return _pack(values, self.learned, counts, 0)
 
     def warm_up(
         self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
     ) -> dict[str, np.ndarray]:
-        values, tuning, history, counts, taken = _unpack(state)
-        backend = self.backend()
-        stop = done + rounds
-        while done < stop:
-            stretch_rounds = min(25, stop - done)
-            stretch = backend.sweep(rng, values, tuning, stretch_rounds, self.thin, taken)
-            values = stretch.values[-1]
-            taken += stretch_rounds * self.thin
-            done += stretch_rounds
-            gain = 3.0 / math.sqrt(1.0 + 10.0 * done / total)
-            tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
-            history = np.concatenate([history, stretch.values])
-            tuning = shaped(self.target.space, tuning, history[len(history) // 2 :])
-        return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
+        values, tuning, counts, taken = _unpack(state)
+        walk = self.walked(rng, values, tuning, rounds, taken)
+        return _pack(walk.later[-1], tuning._replace(scale=walk.scale), counts, taken + rounds * self.thin)
 
     def advance(
         self, rng: np.random.Generator, state: dict[str, np.ndarray], draws: int
     ) -> tuple[dict[str, np.ndarray], Segment]:
-        values, tuning, history, counts, taken = _unpack(state)
+        values, tuning, counts, taken = _unpack(state)
         stretch = self.backend().sweep(rng, values, tuning, draws, self.thin, taken)
-        taken += draws * self.thin
-        state = _pack(stretch.values[-1], tuning, history, self.parts, counts + stretch.counts, taken)
+        state = _pack(stretch.values[-1], tuning, counts + stretch.counts, taken + draws * self.thin)
         return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
 
 
@@ -168,32 +198,23 @@ def importance_resampling(rng: np.random.Generator, space: Space, backend: Backe
     return drawn[systematic(rng, np.exp(logs - np.max(logs)), 1)[0]]
 
 
-def _pack(
-    values: np.ndarray,
-    tuning: Tuning,
-    history: np.ndarray,
-    parts: list[Part],
-    counts: np.ndarray | None = None,
-    taken: int = 0,
-) -> dict[str, np.ndarray]:
+def _pack(values: np.ndarray, tuning: Tuning, counts: np.ndarray, taken: int) -> dict[str, np.ndarray]:
     """Return the state as arrays by name."""
     return {
         "values": values,
         "mean": tuning.mean,
         "covariance": tuning.covariance,
         "scale": np.frombuffer(json.dumps(dict(tuning.scale)).encode(), np.uint8),
-        "temperature": np.array(tuning.temperature),
         "archive": tuning.places,
-        "history": history,
-        "counts": np.zeros((len(parts), 2), np.int64) if counts is None else counts,
+        "counts": counts,
         "taken": np.array(taken),
     }
 
 
-def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray, np.ndarray, int]:
+def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray, int]:
     scale = json.loads(bytes(state["scale"]))
-    tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]), state["archive"])
-    return state["values"], tuning, state["history"], state["counts"], int(state["taken"])
+    tuning = Tuning(state["mean"], state["covariance"], scale, archive=state["archive"])
+    return state["values"], tuning, state["counts"], int(state["taken"])
 
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
@@ -211,7 +232,6 @@ class Population(NamedTuple):
     values: np.ndarray  # (n, P) float64
     densities: np.ndarray  # (n, 2) float64, log prior and log likelihood
     log_evidence: float  # estimate of log p(image); unbiased on the natural scale but for the adaptation
-    stops: list[np.ndarray]  # (n, P) float64, the populations at the exponents that were asked for, or just above
 
 
 def from_prior(
@@ -308,7 +328,6 @@ def tempered(
     particles: int,
     steps: int,
     drawn: int | None = None,
-    stops: Sequence[float] = (),
     share: float = 0.5,
 ) -> Population:
     """Run the sampler.
@@ -317,12 +336,10 @@ def tempered(
     parts : the mixture that moves the particles.
     particles : how many. steps : of the mixture for each particle and stage.
     drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.
-    stops : exponents, rising, at which to keep the population.
     share : of the particles, the weights' effective number that a stage leaves: the smaller, the fewer stages.
     """
     values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
     tuning = first_tuning(space, values[0])
-    kept = list[np.ndarray]()
 
     def advance(chosen: np.ndarray, exponent: float) -> np.ndarray:
         nonlocal values, densities, tuning
@@ -334,135 +351,34 @@ def tempered(
             values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
             counts += stretch.counts
         tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, GAIN))
-        while len(kept) < len(stops) and exponent >= stops[len(kept)]:
-            kept.append(values.copy())
         return densities[:, 1]
 
     log_ratio = anneal(rng, densities[:, 1], advance, particles, share)
-    return Population(values, densities, log_evidence + log_ratio, kept)
+    return Population(values, densities, log_evidence + log_ratio)
 
 
 LOCAL = ("drift", "slide")  # kernels that move a starting population
-GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
-LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
-STAGES = (10, 20, 40, 80)  # rounds of each; then all levels are fitted anew to what all chains saw in its later half
-STRETCH = 5  # rounds between two exchanges
-RISE = 3.0  # nats by which the mean log density still rises from one stage to the next: it has not arrived
-MOST_STAGES = 6
-COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first level's, others', and from each hotter level
+# Temperature and rounds of the walks from there, one stage after the other: where the likelihood counts less narrow
+# modes are wide, and what was met there leads the next walks, one object at a time, from one mode to others.
+STAGES = ((1.0, 20), *((0.1, 10), (0.3, 10), (1.0, 40)) * 4)
+STRETCH = 5  # rounds between two adaptations of scales
+POPULATIONS, WALKS = 4, 8  # counts
+KEPT, BORROWED, MOST_BORROWED = 144, 16, 64  # places that an archive keeps: cold ones; of each hot stage, and of all
+ENOUGH = 20  # places from which on their spread says more than the prior's
 
 
-class Climb(NamedTuple):
-    """One chain's stage."""
-
-    last: np.ndarray  # (R, P), where each level ended
-    seen: np.ndarray  # (R, n, P)
-    density: float  # mean log posterior of the first level
-    scales: list[dict[str, float]]  # step scales of each level
-
-
-def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, seed: int, jobs: int, thin: int,
-                population: int, particles: int) -> tuple[np.ndarray, Tuning] | None:  # fmt: skip
-    """Return typical places (n, P) that pilots found and the Tuning fitted to them; None where nothing possible was.
-
-    backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only.
-    thin : steps in a round. population, particles : of each start, see `smc.tempered`.
-    """
-
-    def each(work, *columns) -> list:
-        with ThreadPoolExecutor(jobs) as pool:
-            return list(pool.map(work, range(len(backends)), *columns))
-
-    def explore(number: int):
-        rng = np.random.default_rng([seed, 3, number])
-        mover = movers[number]
-        return tempered(rng, space, mover, mover.parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
-
-    explored = each(explore)
-    densities = np.concatenate([found.densities.sum(axis=1) for found in explored])
-    good = densities > np.max(densities) - GOOD
-    if not good.any():
-        return None
-    pools = [np.concatenate([found.stops[-1 - r] for found in explored]) for r in range(len(LADDER))]
-    pools[0] = np.concatenate([found.values for found in explored])[good]
-    levels = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
-    levels = refitted(space, levels, pools, [[{}]] * len(levels))
-    rngs = [np.random.default_rng([seed, 4, number]) for number in range(len(backends))]
-    starts = [np.array([pool[rng.integers(len(pool))] for pool in pools]) for rng in rngs]
-    stage, density, rising = 0, -math.inf, True
-    while stage < len(STAGES) or (rising and stage < MOST_STAGES):
-        with ThreadPoolExecutor(jobs) as pool:
-            list(pool.map(backends[0].program, levels))
-        rounds = STAGES[min(stage, len(STAGES) - 1)]
-        climbs = each(lambda n, rng, start, rounds=rounds, levels=levels:
-                      climb(rng, backends[n], parts, levels, start, rounds, thin), rngs, starts)  # fmt: skip
-        starts = [one.last for one in climbs]
-        pools = [np.concatenate([one.seen[r] for one in climbs]) for r in range(len(levels))]
-        levels = refitted(space, levels, pools, [[one.scales[r] for one in climbs] for r in range(len(levels))])
-        stage, former, density = stage + 1, density, float(np.mean([one.density for one in climbs]))
-        rising = density > former + RISE
-    backends[0].program(levels[0])
-    return pools[0], levels[0]
-
-
-def climb(
-    rng: np.random.Generator,
-    backend: Any,
-    parts: list[Part],
-    levels: list[Tuning],
-    start: np.ndarray,
-    rounds: int,
-    thin: int,
-) -> Climb:
-    """Walk on all levels from `start` (R, P) and let neighbours exchange places, with
-
-    log ratio = (temperature - temperature') * (log likelihood' - log likelihood).
-    """
-    places, logs = start.copy(), np.zeros((len(levels), 2))
-    seen: list[list[np.ndarray]] = [[] for _ in levels]
-    tunings, densities = list(levels), []
-    for turn in range(0, rounds, STRETCH):
-        gain = 3.0 / math.sqrt(1.0 + turn / STRETCH)
-        for r, tuning in enumerate(tunings):
-            stretch = backend.sweep(rng, places[r], tuning, STRETCH, thin, turn * thin)
-            places[r], logs[r] = stretch.values[-1], stretch.densities[-1]
-            tunings[r] = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, gain))
-            seen[r].append(stretch.values)
-            if r == 0:
-                densities.append(stretch.densities.sum(axis=1).mean())
-        for r in range(len(levels) - 1):
-            log_ratio = (levels[r].temperature - levels[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
-            if log_threshold(rng) < log_ratio:
-                places[[r, r + 1]], logs[[r, r + 1]] = places[[r + 1, r]], logs[[r + 1, r]]
-    later = np.array([np.concatenate(one)[rounds // 2 :] for one in seen])
-    return Climb(places, later, float(np.mean(densities[len(densities) // 2 :])), [dict(t.scale) for t in tunings])
-
-
-def refitted(space: Space, levels: list[Tuning], pools: list[np.ndarray], scales: list[list]) -> list[Tuning]:
-    """Return the levels' tunings as fitted to the places (n, P) and step scales that all chains found on each.
-
-    A level's archive also takes places of the hotter ones: what they know of other modes comes down one object at a
-    time, which is far likelier than by an exchange of whole scenes.
-    """
-    result = []
-    for r, level in enumerate(levels):
-        archive = [spread_out(pools[r], HOT if r else COLD), *(spread_out(pool, BORROWED) for pool in pools[r + 1 :])]
-        names = {name for scale in scales[r] for name in scale}
-        means = {n: float(np.exp(np.mean([np.log(scale.get(n, 1.0)) for scale in scales[r]]))) for n in sorted(names)}
-        result.append(shaped(space, level._replace(scale=means, archive=np.concatenate(archive)), pools[r]))
-    return result
-
-
-def shaped(space: Space, tuning: Tuning, recent: np.ndarray) -> Tuning:
-    """Return the tuning with centre and covariance fitted to where chains have been of late."""
-    if len(recent) < 20:
+def fitted_to(space: Space, tuning: Tuning, places: np.ndarray, hot: np.ndarray) -> Tuning:
+    """Return the tuning with an archive of places (n, P) and of hot ones (m, P), and with the centre and the spread of
+    the former where they are enough."""
+    tuning = tuning._replace(archive=np.concatenate([spread_out(places, KEPT), hot]))
+    if len(places) < ENOUGH:
         return tuning
-    centre = centre_of(space, recent)
-    return tuning._replace(mean=centre, covariance=covariance_of(space, recent, centre))
+    centre = centre_of(space, places)
+    return tuning._replace(mean=centre, covariance=covariance_of(space, places, centre))
 
 
-def spread_out(places: np.ndarray, most: int = COLD) -> np.ndarray:
+def spread_out(places: np.ndarray, most: int) -> np.ndarray:
     """Return at most so many of the places, evenly spaced."""
     return places[np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(int)]

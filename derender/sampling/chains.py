@@ -46,7 +46,7 @@ def child_seed(seed: int, *key: int) -> int:
     return int(sequence(seed, *key).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
+FORMAT = 3  # of what a sampler's state holds; a file of another one cannot be resumed
 
 
 class Record(NamedTuple):

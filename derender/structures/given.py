@@ -272,7 +272,7 @@ def _walk(
     own = child_seed(seed, STRUCTURES, number) if number else seed  # the first one's is the seed itself
     if not (options.resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))):
         tell(0.0, "searching")
-        sampler = sampler.prepared(own, chains, jobs)
+        sampler = sampler.prepared(own)
     plan = Plan(sampler, own, chains, warmup, draws, place, run, options.resume)
     done = dict.fromkeys(range(chains), 0)
 

@@ -1,4 +1,4 @@
-"""What pilots find together before any draw is kept."""
+"""What populations and walks find together before any draw is kept."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,11 @@ from small_scenes import SceneWorld
 from toy_worlds import World
 
 from derender import data_path
+from derender.compilation.threads import THREADS_VARIABLE
 from derender.posterior import sampler
-from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.kernels import mixture
-from derender.posterior.kernels.base import Tuning
 from derender.posterior.kernels.relocate import fitted, mixture_density
-from derender.posterior.sampler import MixtureSampler, Settings
+from derender.posterior.sampler import MixtureSampler, Population, Settings
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
 from derender.scene.distributions import distributions
@@ -28,16 +27,16 @@ def two_modes():
 
 
 @pytest.mark.slow
-def test_pilots_find_every_mode():
+def test_every_mode_is_found_by_any_number_of_threads(monkeypatch):
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
     made = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"resimulate": {}}]), thin=3)
-    prepared = made.prepared(2, chains=3, jobs=2)
+    prepared = made.prepared(2)
     places = prepared.places[:, 0]
     assert np.all(np.abs(np.abs(places) - 0.6) < 0.03)
     assert 0.1 < np.mean(places > 0) < 0.9
-    again = made.prepared(2, chains=3, jobs=1)
-    np.testing.assert_array_equal(prepared.places, again.places)
+    monkeypatch.setenv(THREADS_VARIABLE, "1")
+    np.testing.assert_array_equal(prepared.places, made.prepared(2).places)
 
 
 def tower(seed):
@@ -50,31 +49,27 @@ def tower(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [9, 90])
-def test_pilots_find_the_tower_in_the_image(seed):
+def test_the_tower_in_the_image_is_found(seed):
     """Cubes that hide half of each other: one at a wrong angle costs thousands of nats and is hard to turn back."""
     truth, target = tower(seed)
     made = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
-    prepared = made.prepared(seed, chains=4, jobs=2)
+    prepared = made.prepared(seed)
     backend = made.backend()
     best = max(sum(backend.evaluate(place)) for place in prepared.places[::20])
     assert best > sum(backend.evaluate(truth)) - 8.0
 
 
-def test_pilots_climb_until_the_density_has_settled(monkeypatch):
-    """Stages go on while the mean log density rises, and end at the most of them."""
-    counted = []
-    genuine = sampler.climb
-
-    def rising(*arguments):
-        counted.append(1)
-        return genuine(*arguments)._replace(density=10.0 * len(counted))
-
+@pytest.mark.parametrize("likelier", [0, 1])
+def test_populations_count_by_their_evidence(likelier, monkeypatch):
+    """One that ended where hardly any probability is gives no chain a start."""
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
-    made = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), thin=1)
-    monkeypatch.setattr(sampler, "climb", rising)
-    made.prepared(2, chains=1, jobs=1)
-    assert len(counted) == sampler.MOST_STAGES
+    made = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), population=8)
+    found = iter([Population(np.full((8, 1), float(k)), np.zeros((8, 2)), 0.0 if k == likelier else -30.0)
+                  for k in range(sampler.POPULATIONS)])  # fmt: skip
+    monkeypatch.setattr(sampler, "tempered", lambda rng, **said: next(found))
+    monkeypatch.setenv(THREADS_VARIABLE, "1")
+    assert set(made.first_places(np.random.default_rng(0)).ravel()) == {likelier}
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -104,17 +99,3 @@ def test_place_mixture_is_a_density_around_the_seam(size):
     (first, error), (second, other) = estimates
     assert abs(first - second) < 4.5 * np.hypot(error, other)
     assert error < 0.1 * first and other < 0.1 * second
-
-
-@pytest.mark.parametrize("better", [0, 1])
-def test_neighbours_exchange_places_by_the_metropolis_rule(better):
-    """The colder level takes the better place, whoever has it; here nothing else moves and the rule leaves no doubt."""
-    world = two_modes()
-    target = world.target(np.random.default_rng(1), np.array([0.6]))
-    parts = mixture(world.space, [{"drift": {"scale": 1e-12}}])
-    cold = Tuning(np.zeros(1), np.eye(1), {})
-    start = np.array([[0.6], [0.3]])[:: 1 if better == 0 else -1]
-    backend = InterpretedBackend(target, parts)
-    last = sampler.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
-                        sampler.STRETCH, 1).last  # fmt: skip
-    np.testing.assert_allclose(last[:, 0], [0.6, 0.3], atol=1e-6)

@@ -163,8 +163,9 @@ def part_of_known(
         prior, likelihood = target.log_prior(start), target.log_likelihood(start)
         return part_at(target, start[None, None], np.array([[prior]]), np.array([[likelihood]]), 1.0, {})
     parts = mixture(target.space, default_parts())
-    sampler = MixtureSampler(target, parts, population=1, places=start[None])
-    plan = Plan(sampler, int(rng.integers(2**63)), chains, WARMUP, draws)
+    seed = int(rng.integers(2**63))
+    sampler = MixtureSampler(target, parts, places=start[None]).prepared(seed)
+    plan = Plan(sampler, seed, chains, WARMUP, draws)
     outcome = run_chains(plan, THREADS)
     part = part_of(target, list(outcome.records.values()), parts, 1.0)
     if part is None or outcome.interrupted:
