@@ -2,7 +2,6 @@
 them inferred in a process of its own, told in rows."""
 
 import glob
-import json
 import os
 import shlex
 import time
@@ -17,6 +16,7 @@ from derender.atomic import locked, make_folder, write_bytes
 from derender.camera.depth_file import Reading
 from derender.camera.ros_bag import FRAME, bag_frames, is_bag
 from derender.errors import DerenderError, is_unicode
+from derender.json_text import parse_json
 from derender.results.table import failed_row, rows_of
 from derender.structures.options import Options
 
@@ -276,8 +276,8 @@ def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:
     """Return the rows of a frame that is done; DerenderError where its summary is none."""
     try:
         with locked(folder):  # another process may be writing it
-            return rows_of(name, json.loads((folder / RESULT).read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as fault:
+            return rows_of(name, parse_json((folder / RESULT).read_bytes()))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, DerenderError) as fault:
         raise DerenderError("this is no summary of a result", folder / RESULT) from fault
 
 

@@ -1,5 +1,6 @@
 """What is known of the frames of an output folder: lines that grow as frames are done, tables and index.html."""
 
+import contextlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,6 +13,7 @@ from derender import __version__
 from derender.atomic import locked, make_folder, write_text
 from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in
 from derender.errors import DerenderError
+from derender.json_text import misfit, parse_json
 from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
 
 RUN, TABLE, PAGE = "batch.json", "results.csv", "index.html"
@@ -38,12 +40,11 @@ class Ledger:
         asked = {"options": list(order.words), "seed": order.options.seed}
         path = self.folder / RUN
         if path.exists():
-            try:
-                former = json.loads(path.read_text(encoding="utf-8"))
-            except ValueError:
-                former = {}
+            former: Any = None
+            with contextlib.suppress(DerenderError):
+                former = parse_json(path.read_bytes())
             if former != asked:
-                words = " ".join(former.get("options", [])) if isinstance(former, dict) else ""
+                words = "" if misfit(former, {"options": [str]}) else " ".join(former["options"])
                 what = f"the results here were made with other options ({words or 'none'})"
                 raise DerenderError(what, self.folder, "give the same ones, or another folder with -o")
         else:

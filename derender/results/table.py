@@ -1,5 +1,6 @@
 """How results are told: a row for each object of many frames, as CSV and JSON lines; pages; probabilities in words."""
 
+import contextlib
 import csv
 import io
 import json
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from derender.errors import DerenderError
+from derender.json_text import misfit, parse_json
 
 DIGITS = 6  # after the point: micrometres and microradians, a thousandth of what any sensor tells
 SIDES = ("length", "width", "height")
@@ -22,6 +26,11 @@ COLUMNS = (
     "frame", "status", "object", "type", *(f"{side}{end}" for side in SIDES for end in ("", "_low", "_high")),
     "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "object_trusted", "trusted", "doubts",
 )  # fmt: skip
+
+# What is read of a row, as `misfit` takes it.
+ROW = {"frame": str, "status": str, "trusted": bool, "doubts": [str], "probability?": {float, None},
+       **dict.fromkeys(("object?", "type?", "rests_on?"), {str, None}),
+       **{f"{side}{end}?": {float, None} for side in SIDES for end in ("", "_low", "_high")}}  # fmt: skip
 
 
 def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -80,16 +89,14 @@ def as_lines(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def read_lines(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a file of JSON lines; what a killed writer left half done is left out."""
+    """Yield the rows of a file of JSON lines; what a killed writer left half done, or is none, is left out."""
     if not path.exists():
         return
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        try:
-            row = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(row, dict) and isinstance(row.get("frame"), str) and row.get("status") in ("done", "failed"):
-            yield dict.fromkeys(COLUMNS) | row
+        with contextlib.suppress(DerenderError):
+            row = parse_json(line)
+            if not misfit(row, ROW) and row["status"] in ("done", "failed"):
+                yield dict.fromkeys(COLUMNS) | row
 
 
 def as_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) -> str:

@@ -173,7 +173,10 @@ def test_a_ledger_goes_on_where_it_was_killed(tmp_path):
 
 @pytest.mark.parametrize("told", [{}, {"scene": {"objects": [{}]}, "trusted": 1, "doubts": 5, "method": "map"}])
 def test_what_is_broken_in_the_folder_is_made_again(tmp_path, told):
-    (tmp_path / "results.jsonl").write_bytes(b'\xff\xfe\n[]\n{"frame": "a", "status": 5}\n')
+    line = {"frame": "a", "status": "done", "trusted": True, "doubts": []}
+    junk = [json.dumps(line | wrong) for wrong in ({"doubts": 5}, {"doubts": [1]}, {"object": {}}, {"length": "x"})]
+    lines = ["[]", '{"frame": "a", "status": 5}', "[" * 100_000, *junk]
+    (tmp_path / "results.jsonl").write_bytes(b"\xff\xfe\n" + "\n".join(lines).encode() + b"\n")
     done_folder(tmp_path, "a", told)
     ledger = Ledger(tmp_path, Order())
     assert not ledger.rows and ledger.missing([Frame("a", "a.npy")]) == [Frame("a", "a.npy")]
@@ -194,6 +197,13 @@ def test_results_of_other_options_are_not_mixed(tmp_path):
     Ledger(tmp_path, Order(words=["--quick"]))
     with pytest.raises(DerenderError, match=r"other options \(--quick\); give the same ones, or another folder"):
         Ledger(tmp_path, Order(words=["--method", "mcmc"]))
+
+
+@pytest.mark.parametrize("told", ["5", '{"options": [1]}', '{"options": 5}', "[" * 100_000, "\x00"])
+def test_what_does_not_say_which_options_there_were_is_of_others(tmp_path, told):
+    (tmp_path / "batch.json").write_text(told)
+    with pytest.raises(DerenderError, match=r"other options \(none\)"):
+        Ledger(tmp_path, Order())
 
 
 def test_the_page_names_every_frame_and_escapes_it(tmp_path):
