@@ -334,6 +334,9 @@ def test_an_observation_of_another_tool_is_told(tmp_path):
         read_observation(tmp_path)
     np.save(tmp_path / "explained.npy", np.ones((3, 4), np.float32))
     assert read_explained(tmp_path, (3, 3)) is None and read_explained(tmp_path, (3, 4)) is not None
+    with open(tmp_path / "explained.npy", "wb") as file:  # of which only the header is there
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": (400_000,) * 2})
+    assert read_explained(tmp_path, (400_000, 400_000)) is None
 
 
 @settings(max_examples=MUTATIONS, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -145,11 +145,11 @@ def read_explained(folder: str | Path, shape: tuple[int, int]) -> "np.ndarray | 
 
     shape : (H, W) of the image.
     """
-    import numpy as np
+    from derender.camera.image_files import read_numbers
 
     try:
-        depth = np.load(Path(folder) / "explained.npy", allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+        depth = read_numbers(Path(folder) / "explained.npy", "the explained depths", "")
+    except DerenderError:
         return None
     return depth.astype(float) if depth.shape == shape and depth.dtype.kind == "f" else None
 
