@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, resource_tracker
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from derender.atomic import files_together, make_folder, write_bytes
 from derender.batch.frames import (
@@ -44,27 +44,6 @@ LOOK = 0.2  # seconds between two looks at what is finished and at what has come
 GATHER = 2.0  # seconds between two writings of the tables while frames are in work
 
 
-class Crew(Protocol):
-    """Who infers frames: processes on this machine, or a cluster."""
-
-    @property
-    def size(self) -> int:
-        """How many frames can be in work at a time."""
-
-    @property
-    def busy(self) -> int:
-        """How many frames are in work."""
-
-    def submit(self, frame: Frame) -> None:
-        """Begin to infer a frame."""
-
-    def finished(self, timeout: float) -> list[Done]:
-        """Return what was finished since the last call; waits at most so many seconds for the first."""
-
-    def close(self) -> None:
-        """End it."""
-
-
 class Tally(NamedTuple):
     """How it went: frames done, of these not to be trusted, failed, done before; whether someone stopped it."""
 
@@ -80,7 +59,7 @@ def infer_frames(
     arguments: Sequence[str],
     output: str | Path,
     order: Order,
-    crew_of: Callable[[Order, str], Crew],
+    crew_of: Callable[[Order, str], "Crew"],
     watch: bool = False,
     tell: Callable[[Done], None] = lambda done: None,
     progress: Callable[[float, str], None] = lambda share, words: None,
@@ -368,3 +347,6 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
             if name != THUMBNAIL:
                 (place / name).write_bytes(data)
     write_bytes(folder / THUMBNAIL, files[THUMBNAIL])
+
+
+Crew = Processes | Cluster  # who infers frames: processes on this machine, or a cluster
