@@ -169,7 +169,7 @@ def infer(
     seen = look_at(image, document, "image", _warn)
     check_request(options, document, prior, "exact", _warn)
     posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)
-    return Posterior.of(judged(posterior, seen, likelihood, page=False)[0], seen)
+    return Posterior.of(judged(posterior, seen, likelihood, page=False).posterior, seen)
 
 
 def _warn(line: str) -> None:

@@ -46,6 +46,7 @@ class Report(NamedTuple):
     files: Mapping[str, tuple[str, bytes]] = {}  # (media type, bytes) of what can be downloaded from the page, by name
     simulated: Mapping[str, Any] = {}  # what `derender simulate --json` said of the scene, {} where it has not run
     animations: Sequence[str] = ()  # data: URIs of moving pictures of it
+    posterior: "Posterior | None" = None  # what is shown of, and in its `meta` what is to be thought of it
 
 
 def report_of(
@@ -109,6 +110,7 @@ def report_of(
         doubts,
         fit,
         downloads(title, graph, scene, method) if shown else {},
+        posterior=posterior,
     )
 
 

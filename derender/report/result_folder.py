@@ -1,8 +1,8 @@
 """The files that `derender infer` leaves in its folder, written together, and what there is to tell of them."""
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from derender.camera.depth_file import DepthImage, write_depth
 from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.results.trust import Doubt, judgement, trusted
+from derender.results.trust import trusted
 
 SIMULATION = "simulation.json"  # what `derender simulate` found; of an older result it says nothing about a new one
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json",
@@ -27,16 +27,14 @@ class Outcome:
 
     folder: Path  # with the files
     posterior: Posterior  # what is in them
-    rows: Sequence[Mapping[str, Any]]  # of the table, see report.tables.parameter_rows
-    doubts: tuple[Doubt, ...]  # reasons to doubt the result
+    report: Any  # its Report
     interrupted: bool  # by Ctrl-C
-    sensor: Mapping[str, str]  # what the likelihood says of it, in words by name
     seconds: float  # that inference took
 
     @property
     def trusted(self) -> bool:
         """Whether none of the doubts is serious."""
-        return trusted(self.doubts)
+        return trusted(self.report.doubts)
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in two digits: what rests on what."""
@@ -53,20 +51,23 @@ class Outcome:
         from derender.results.trust import doubtful
 
         told = [(line, False) for line in self.structures()]
-        if self.rows:
-            head, *others = parameter_table(self.rows).split("\n")
-            told += [(head, False), *zip(others, map(doubtful, self.rows), strict=True)]
+        if rows := self.report.parameters:
+            head, *others = parameter_table(rows).split("\n")
+            told += [(head, False), *zip(others, map(doubtful, rows), strict=True)]
         return told
 
     def verdict(self) -> list[str]:
         """Return whether the result is to be trusted, in lines."""
         from derender.results.trust import verdict
 
-        return verdict(self.doubts, self.rows)
+        return verdict(self.report.doubts, self.report.parameters)
 
     def details(self) -> str:
         """Return what was found of the sensor, and how long it took, in a line."""
-        return ", ".join([*(f"{name} {words}" for name, words in self.sensor.items()), f"{self.seconds:.2f} s"])
+        from derender.report.contents import sensor_words
+
+        told = sensor_words(self.report.likelihood).items()
+        return ", ".join([*(f"{name} {words}" for name, words in told), f"{self.seconds:.2f} s"])
 
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
@@ -79,16 +80,15 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     timed : whether summary.json says how long it took. home : as seen from where files are named; None: the folder.
     """
     from derender.camera.image_files import encode_npy, png_bytes
-    from derender.report.contents import sensor_words
     from derender.report.html import write_report
     from derender.results.predictive import blocks_of, can_be_read, write_netcdf
 
-    posterior, report = judged(posterior, seen, likelihood, lost, page)
+    report = judged(posterior, seen, likelihood, lost, page)
+    posterior = report.posterior
     graph, best = posterior.best_graph(), posterior.best_part
     likelihood = likelihood_at_best(likelihood, best)
     text = document_text(graph, seen.camera, likelihood, made, home or folder)
     report = report._replace(files={"scene.yaml": ("text/yaml", text.encode()), **report.files})
-    doubts, fit = report.doubts, report.fit
     rows = {
         row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
         for row in report.parameters
@@ -114,9 +114,9 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             if page and can_be_read():
                 blocks = blocks_of(posterior, seen.depth, seen.camera, np.random.default_rng(posterior.seed))
                 write_netcdf(place / "posterior.nc", posterior, blocks)
-            if fit is not None:
-                write_bytes(place / "labels.png", png_bytes(fit.label))
-                write_bytes(place / "explained.npy", encode_npy(fit.depth))
+            if report.fit is not None:
+                write_bytes(place / "labels.png", png_bytes(report.fit.label))
+                write_bytes(place / "explained.npy", encode_npy(report.fit.depth))
             write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
             write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
 
@@ -124,23 +124,20 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             run_together(partial(write_report, place / "report.html", report), write_numbers)
         else:
             write_numbers()
-    interrupted = bool(posterior.meta["interrupted"])
-    return Outcome(folder, posterior, report.parameters, doubts, interrupted, sensor_words(report.likelihood), seconds)
+    return Outcome(folder, posterior, report, bool(posterior.meta["interrupted"]), seconds)
 
 
 def judged(
     posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, lost: int = 0, page: bool = True
-) -> tuple[Posterior, Any]:
-    """Return the posterior with what is to be thought of it in its `meta`, and its Report, made for a page or not."""
+) -> Any:
+    """Return the Report of a posterior, made for a page or not."""
     from derender.report.contents import likelihood_numbers, report_of
 
     numbers = likelihood_numbers(likelihood_at_best(likelihood, posterior.best_part))
     name = Path(str(posterior.meta.get("image", "image"))).name
-    report = report_of(
+    return report_of(
         posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost, shown=page
     )
-    judged_so = judgement(report.doubts, posterior.best_graph(), report.fit)
-    return replace(posterior, meta={**posterior.meta, **judged_so}), report
 
 
 def likelihood_at_best(likelihood: LikelihoodPrior, part: StructurePosterior) -> LikelihoodPrior:

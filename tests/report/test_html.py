@@ -215,7 +215,8 @@ def test_doubtful_chains_are_marked():
     )
     assert len(lines.splitlines()) == 3 and "b.contact.theta (°)" in lines
     rows = tables.parameter_rows(["a.x", "b.x"], np.concatenate([good, apart], axis=2))
-    told = Outcome.lines(SimpleNamespace(structures=lambda: ["p .93  a on floor"], rows=rows))  # type: ignore[arg-type]
+    outcome = SimpleNamespace(structures=lambda: ["p .93  a on floor"], report=SimpleNamespace(parameters=rows))
+    told = Outcome.lines(outcome)  # type: ignore[arg-type]
     assert [(line.split()[0], doubt) for line, doubt in told] == [
         ("p", False), ("address", False), ("a.x", False), ("b.x", True)]  # fmt: skip
 
