@@ -21,7 +21,7 @@ def parse_json(text: str | bytes, where: object = None) -> Any:
     except RecursionError:
         raise _too_deep(where) from None
     except ValueError as error:
-        raise DerenderError(f"this is not JSON ({error})", where, "write it again") from None
+        raise DerenderError(f"this is not JSON ({error})", where, "write it again") from error
     level = [tree]
     for _ in range(MOST_DEPTH):
         level = [item for node in level if isinstance(node, (dict, list)) for item in _items(node)]

@@ -287,24 +287,17 @@ def load_tree(
         words = text.replace(",", " ").replace(";", " ").split()
         if len(words) == 9 and all(map(_is_number, words)):  # a matrix as numpy.savetxt or a table writes it
             return [words[0:3], words[3:6], words[6:9]]
-        if text.lstrip().startswith("{") and _is_json(text):
-            return parse_json(text, path)
+        if text.lstrip().startswith("{"):
+            try:
+                return parse_json(text, path)
+            except DerenderError as error:
+                if not isinstance(error.__cause__, ValueError):  # else it is YAML in flow style
+                    raise
         loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
         _refuse_deep(yaml.parse(text, loader))
         return next(iter(yaml.load_all(text, loader)))  # `rostopic echo` separates messages by ---
     except (ValueError, yaml.YAMLError, RecursionError, StopIteration, TypeError):
         raise DerenderError("neither JSON nor YAML", path, remedy) from None
-
-
-def _is_json(text: str) -> bool:
-    """Return whether it is JSON rather than YAML in flow style; nested too deep counts as JSON."""
-    try:
-        json.loads(text)
-    except RecursionError:
-        return True
-    except ValueError:
-        return False
-    return True
 
 
 def _refuse_deep(events: Iterator[Any]) -> None:
