@@ -1,8 +1,6 @@
 """derender sample: draw scenes from a prior, with their depth images."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -13,14 +11,12 @@ from derender.errors import Idle
 
 @click.command()
 @click.argument("prior", default="tabletop", metavar="[PRIOR]")
-@click.option("-n", "count", type=click.IntRange(1, 1_000_000), default=1, show_default=True, help="How many scenes.")
+@click.option("-n", "count", type=click.IntRange(1, 1_000_000), default=1, help="How many scenes.")
 @options.output(
     "Folder for the files; - streams the scenes as YAML documents to stdout, without images.", ".", "FOLDER"
 )
-@click.option("--images/--no-images", default=True, show_default=True, help="Write a depth image for each scene.")
-@click.option(
-    "--noise/--no-noise", default=True, show_default=True, help="Draw the image from the likelihood (Eq. 6), or clean."
-)
+@click.option("--images/--no-images", default=True, help="Write a depth image for each scene.")
+@click.option("--noise/--no-noise", default=True, help="Draw the image from the likelihood (Eq. 6), or clean.")
 @options.camera
 @options.renderer
 @options.seed
@@ -52,8 +48,11 @@ def command(
         derender sample stack -n 20 --seed 1 -o scenes
         derender sample grammar -n 1000 --no-images -o - | derender show - | less
     """
+    from derender.atomic import all_or_none, make_folder
+    from derender.camera.camera_file import read_camera
     from derender.document import prior_as_seen_from, read_prior_document
     from derender.posterior.forward import draw_documents
+    from derender.render.renderers import find_renderer
 
     document = read_prior_document(prior)
     made = {"seed": seed, "command": f"derender sample {prior} --seed {seed}" + ("" if noise else " --no-noise")}
@@ -61,36 +60,12 @@ def command(
         made["prior"] = prior_as_seen_from(prior, Path("." if output == "-" else output))
     draws = draw_documents(document, count, seed, made)
     if output == "-":
-        _stream(draws)
+        for number, draw in enumerate(draws):
+            click.echo(("---\n" if number else "") + draw.text(), nl=False)
         return
-    _write(draws, Path(output), count, images, noise, camera, renderer, talk)
-
-
-def _stream(draws: Iterator[Any]) -> None:
-    """Print each scene as one YAML document."""
-    for number, draw in enumerate(draws):
-        click.echo(("---\n" if number else "") + draw.text(), nl=False)
-
-
-def _write(
-    draws: Iterator[Any],
-    folder: Path,
-    count: int,
-    images: bool,
-    noise: bool,
-    camera: str | None,
-    renderer: str,
-    talk: Talk,
-) -> None:
-    """Write each scene, and its image, into the folder."""
-    from derender.atomic import all_or_none, make_folder
-    from derender.camera.camera_file import read_camera
-    from derender.render.renderers import find_renderer
-
     engine = find_renderer(renderer) if images else None
     given = read_camera(camera) if camera is not None else None
-    make_folder(folder)
-    digits = max(3, len(str(count - 1)))
+    folder, digits = make_folder(output), max(3, len(str(count - 1)))
     for number, draw in enumerate(talk.counted(draws, count, "sampling scene")):
         path = folder / f"sample_{number:0{digits}d}.yaml"
         with all_or_none(path, path.with_suffix(".npz")):
