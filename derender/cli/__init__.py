@@ -68,7 +68,7 @@ class LazyGroup(click.Group):
             raise click.UsageError(f"{error.message.rstrip('.')}: {suggest(args[0], COMMANDS)}", context) from None
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
 @click.version_option(__version__, prog_name="derender")
 def group() -> None:
     """From one depth image to a scene graph: which solids there are, how big, where, and what rests on what.
@@ -180,6 +180,8 @@ def status_of(work: Callable[[], Any]) -> int:
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return _complain("interrupted", 130)
+    except MemoryError:
+        return _complain("there is too little memory for it")
     except ImportError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):  # so modules in C end whose loading is interrupted
             return _complain("interrupted", 130)

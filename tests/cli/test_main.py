@@ -56,6 +56,7 @@ def interrupted_import():
         ),
         (raising(click.UsageError("no")), 2, None),
         (raising(KeyboardInterrupt()), 130, None),
+        (raising(MemoryError()), 1, "derender: there is too little memory for it\n"),
         (raising(click.Abort()), 130, None),
         (interrupted_import, 130, "derender: interrupted\n"),
         (raising(PermissionError(13, "Permission denied", "out.npz")), 1, "derender: out.npz: Permission denied\n"),
