@@ -21,21 +21,17 @@ if TYPE_CHECKING:
 @click.argument("truth", metavar="TRUTH")
 @click.option("--frame", metavar="KEY", help="Frame of BOP's scene_gt.json, where it has several.")
 @click.option("--models", metavar="FILE", help="BOP's models_info.json or its folder, where it is not near the scene.")
-@click.option(
-    "--background", default="0", show_default=True, metavar="N,N", help="Labels of a label image that are no object."
-)
+@click.option("--background", default="0", metavar="N,N", help="Labels of a label image that are no object.")
 @click.option(
     "--divisor",
     type=click.IntRange(1, 10_000),
     default=1,
-    show_default=True,
     help="Labels are the image's numbers over this (10 where 21 and 22 are parts of object 2).",
 )
 @click.option(
     "--graph-iou",
     type=options.Finite(0, 1),
     default=0.25,
-    show_default=True,
     help="Overlap from which two solids are the same object in edges and errors.",
 )
 @options.as_json

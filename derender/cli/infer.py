@@ -92,16 +92,11 @@ IDLE = (
     "--rotate",
     type=click.Choice(["0", "90", "180", "270"]),
     default="0",
-    show_default=True,
     help="Degrees by which to turn the image clockwise, its camera and gravity with it.",
 )
 @click.option("--confidence", metavar="FILE", help="Map of how sure the sensor is of each pixel, or a folder of maps.")
 @click.option(
-    "--least-confidence",
-    type=options.Finite(),
-    default=1.0,
-    show_default=True,
-    help="Pixels that are less sure count as missing.",
+    "--least-confidence", type=options.Finite(), default=1.0, help="Pixels that are less sure count as missing."
 )
 @click.option(
     "--up", metavar="X,Y,Z", help="Upwards in camera axes, or an axis such as -y; default: the camera file's."
@@ -111,7 +106,6 @@ IDLE = (
     "--method",
     type=click.Choice(["auto", "mcmc", "map", "smc"]),
     default="auto",
-    show_default=True,
     help="auto and mcmc: chains; smc, with --scene: particles; map: the single best scene. Without --scene auto weighs "
     "structures by integrals, mcmc by visiting them.",
 )
@@ -120,7 +114,6 @@ IDLE = (
     "--gradient",
     type=click.Choice(["exact", "finite-difference"]),
     default="exact",
-    show_default=True,
     help="Derivatives that --method map uses.",
 )
 @click.option("--shapes", metavar="NAMES", help="Without --scene: shapes to look for, such as box,cylinder.")

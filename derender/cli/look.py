@@ -19,7 +19,6 @@ LITTLE = 0.1  # nats: an image that tells no more is not worth taking
     "--about",
     type=click.Choice(["sizes", "structure", "stable"]),
     default="sizes",
-    show_default=True,
     help="What another image is to tell: sizes, which structure it is, or whether the scene stands.",
 )
 @options.output("File of the poses, and beside it the picture. Default: DIR/poses.json.", None, "FILE")

@@ -179,7 +179,6 @@ seed = click.option(
     "--seed",
     type=Seed(0, 2**63 - 1),
     default=0,
-    show_default=True,
     metavar="N",
     help="Of the random numbers; a seed gives the same bytes, whatever --jobs is.",
 )
@@ -206,11 +205,10 @@ depth_scale = click.option(
 renderer = click.option(
     "--renderer",
     default="raycast",
-    show_default=True,
     metavar="NAME",
     help="raycast (compiled, needs no OpenGL) or pyrender (OpenGL through OSMesa or EGL).",
 )
-noise = click.option("--noise/--no-noise", default=False, show_default=True, help="Draw from the likelihood (Eq. 6).")
+noise = click.option("--noise/--no-noise", default=False, help="Draw from the likelihood (Eq. 6).")
 strict = click.option("--strict", is_flag=True, help="Exit with status 3 where the result is not to be trusted.")
 
 
@@ -222,7 +220,7 @@ def output(help: str, default: str | None = None, metavar: str = "PATH", **more:
             raise click.BadParameter("it is empty")
         return value
 
-    return click.option("-o", "--output", metavar=metavar, default=default, show_default=default is not None, help=help,
+    return click.option("-o", "--output", metavar=metavar, default=default, help=help,
                         callback=named, **more)  # fmt: skip
 
 

@@ -30,9 +30,7 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.camera
 @options.depth_scale
 @options.renderer
-@click.option(
-    "--antialias", type=click.IntRange(1, 16), default=1, show_default=True, metavar="N", help="N x N samples."
-)
+@click.option("--antialias", type=click.IntRange(1, 16), default=1, metavar="N", help="N x N samples.")
 @options.noise
 @click.option(
     "--sensor",

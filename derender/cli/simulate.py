@@ -40,14 +40,11 @@ class Percent(click.ParamType):
 
 @click.command()
 @click.argument("scenes", metavar="SCENE-or-DIR...", nargs=-1, required=True)
-@click.option(
-    "--duration", type=options.Finite(0, 3600, min_open=True), default=2.0, show_default=True, help="Seconds to run."
-)
+@click.option("--duration", type=options.Finite(0, 3600, min_open=True), default=2.0, help="Seconds to run.")
 @click.option(
     "--draws",
     type=click.IntRange(0, MOST_DRAWS),
     default=50,
-    show_default=True,
     help="Draws of a posterior, a prior or the jitter to simulate for P(stable).",
 )
 @click.option("--until", type=Percent(), metavar="PERCENT", help="Draw until P(stable) is known to this error.")
@@ -55,7 +52,6 @@ class Percent(click.ParamType):
     "--engine",
     type=click.Choice(["mujoco", "statics", "both"]),
     default="mujoco",
-    show_default=True,
     help="Simulation, balance of forces at rest (no pushes), or both.",
 )
 @click.option("--margin", is_flag=True, help="Also the least horizontal acceleration, in g, that topples or slides it.")

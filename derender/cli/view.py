@@ -10,7 +10,7 @@ from derender.cli.options import Talk
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option("--open/--no-open", "show", default=True, show_default=True, help="Open the page in a browser.")
+@click.option("--open/--no-open", "show", default=True, help="Open the page in a browser.")
 @options.quiet
 def command(folder: str, show: bool, talk: Talk) -> None:
     """Open the page about what `derender infer` left in DIR, made anew where it is missing or older than what it shows.
