@@ -168,7 +168,7 @@ def answer(
             posterior = replace(posterior, command=command, meta={**posterior.meta, "image": request.image})
             with interruptible() as stop:  # what was inferred is written, whoever loses patience now
                 outcome = write_results(
-                    folder, posterior, request.seen, likelihood, request.made, len(posterior.meta["lost_chains"]),
+                    folder, posterior, request.seen, likelihood, request.made,
                     time.monotonic() - began, page, started is not None, request.home,
                 )  # fmt: skip
             return replace(outcome, interrupted=outcome.interrupted or stop.is_set())

@@ -57,7 +57,6 @@ def report_of(
     title: str = "derender",
     facts: Mapping[str, Any] | None = None,
     likelihood: Mapping[str, Any] | None = None,
-    lost: int = 0,
     told: np.ndarray | None = None,
     shown: bool = True,
 ) -> Report:
@@ -66,7 +65,6 @@ def report_of(
     observed : (height, width) float64, metres, NaN without return.
     facts : further entries for the head, such as seconds.
     likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
-    lost : how many chains died.
     told : (height, width) metres, the `explained.npy` of a folder; None: what the posterior holds.
     shown : whether a page is made of it: only that needs draws and downloads.
     """
@@ -83,7 +81,7 @@ def report_of(
         periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else {}
         rows = tables.parameter_rows(best.addresses, best.values, periods)
         structures = told_structures(posterior)
-    fit, doubts = None, trust.chain_doubts(posterior, rows, lost) if posterior is not None else ()
+    fit, doubts = None, trust.chain_doubts(posterior, rows) if posterior is not None else ()
     if camera is not None and observed is not None:
         if told is None and posterior is not None and posterior.explanation is not None:
             told = posterior.explanation.depth

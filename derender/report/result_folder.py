@@ -71,11 +71,11 @@ class Outcome:
 
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
-                  made: Mapping[str, Any], lost: int, seconds: float, page: bool = True,
+                  made: Mapping[str, Any], seconds: float, page: bool = True,
                   timed: bool = True, home: Path | None = None) -> Outcome:  # fmt: skip
     """Write all files of a result, as one set, and return what there is to tell.
 
-    made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
+    made : seed, command and prior, for scene.yaml. seconds : that inference took.
     page : whether report.html and posterior.nc are among them: `derender report DIR` makes the page later.
     timed : whether summary.json says how long it took. home : as seen from where files are named; None: the folder.
     """
@@ -83,7 +83,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     from derender.report.html import write_report
     from derender.results.predictive import blocks_of, can_be_read, write_netcdf
 
-    report = judged(posterior, seen, likelihood, lost, page)
+    report = judged(posterior, seen, likelihood, page)
     posterior = report.posterior
     graph, best = posterior.best_graph(), posterior.best_part
     likelihood = likelihood_at_best(likelihood, best)
@@ -127,17 +127,13 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     return Outcome(folder, posterior, report, bool(posterior.meta["interrupted"]), seconds)
 
 
-def judged(
-    posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, lost: int = 0, page: bool = True
-) -> Any:
+def judged(posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, page: bool = True) -> Any:
     """Return the Report of a posterior, made for a page or not."""
     from derender.report.contents import likelihood_numbers, report_of
 
     numbers = likelihood_numbers(likelihood_at_best(likelihood, posterior.best_part))
     name = Path(str(posterior.meta.get("image", "image"))).name
-    return report_of(
-        posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost, shown=page
-    )
+    return report_of(posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, shown=page)
 
 
 def likelihood_at_best(likelihood: LikelihoodPrior, part: StructurePosterior) -> LikelihoodPrior:

@@ -319,7 +319,7 @@ HEADER = {
     "meta": {
         "camera?": dict, "doubts?": [str], "existence?": {str: (float, float)}, "explained?": float, "faces?": float,
         "hanging?": [str], "hidden_expected?": {float, None}, "image?": str, "in_doubt?": [str],
-        "likelihood?": LIKELIHOOD, "missed?": float, "noise?": float,
+        "likelihood?": LIKELIHOOD, "lost_chains?": list, "missed?": float, "noise?": float,
         "other_floors?": [{"probability": float, "plane": (float, float, float, float)}],
         "spots?": [(float, float, float, float)],
         "structure_chains?": {"r_hat?": {float, None}, "shares?": [float]},

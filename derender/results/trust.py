@@ -84,11 +84,12 @@ def doubtful(row: Mapping[str, Any]) -> bool:
     return bool((np.isfinite(r_hat) and r_hat > largest) or (np.isfinite(ess) and ess < smallest))
 
 
-def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: int = 0) -> tuple[Doubt, ...]:
+def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> tuple[Doubt, ...]:
     """Return the reasons not to trust a posterior that its chains give.
 
-    rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
+    rows : of `tables.parameter_rows`, about its most probable structure.
     """
+    lost = len(posterior.meta.get("lost_chains", ()))
     doubts = [f"{lost} of the chains died"] if lost else []
     if posterior.meta.get("no_floor"):
         doubts.append("no surface was found that things could stand on: only what stands free of all about it is told")

@@ -128,9 +128,7 @@ def test_the_command_writes_poses_that_infer_takes(tmp_path):
     depth, _ = render_depth(found.best_graph().solids(), CAMERA)
     seen = DepthImage(depth, CAMERA)
     (tmp_path / "result").mkdir()
-    write_results(
-        tmp_path / "result", found, seen, LikelihoodPrior("gaussian", {"sigma": 0.001}), {}, 0, 0.0, page=False
-    )
+    write_results(tmp_path / "result", found, seen, LikelihoodPrior("gaussian", {"sigma": 0.001}), {}, 0.0, page=False)
     run = CliRunner().invoke(group, ["look", str(tmp_path / "result"), "--json"])
     assert run.exit_code == 0, run.output
     told = json.loads(run.stdout)

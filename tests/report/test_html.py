@@ -231,6 +231,12 @@ def test_of_a_single_draw_there_is_its_value_alone(report):
 EMPTY = SimpleNamespace(vertices=())
 
 
+def test_chains_that_died_are_told_of_what_is_read_again_too():
+    posterior = SimpleNamespace(meta={"lost_chains": [1]}, best_part=SimpleNamespace(
+        values=np.zeros((1, 2, 1)), extras={}, graph=EMPTY))  # fmt: skip
+    assert trust.chain_doubts(posterior, []) == (trust.Doubt("1 of the chains died"),)
+
+
 def test_populations_that_disagree_are_told():
     """However few draws the likeliest structure has."""
     part = SimpleNamespace(values=np.zeros((1, 2, 1)), extras={"log_evidence": [1.0, 9.0]}, graph=EMPTY)
