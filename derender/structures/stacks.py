@@ -26,7 +26,7 @@ from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import final_parents
 from derender.detection.things import THINNEST, cost_of
 from derender.results.fit import smooth_surface
-from derender.scene.solids import BOX
+from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import QUICK, unclimbed
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.refined import (
@@ -43,7 +43,7 @@ from derender.structures.draws.sensor import model_depth
 
 # Times as far as half of the floor's pixels are off it half of those of a solid are that may be two, at least; and of
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
-EXACT, INEXACT = 1.1, 2.0
+EXACT, INEXACT = 1.05, 2.0
 FLUSH = 0.004  # metres by which sides that are flush are seen apart: real sensors' faces are off by some 3 mm
 # Of the stacks of each pair of kinds that are climbed, and of those that are climbed farther; times as far off as after
 # that they may be before it: of those that ended as stacks all were less than 2.6 times.
@@ -54,12 +54,14 @@ CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is
 def with_stacks(
     rng: np.random.Generator, seen: Observation, state: State, settings: Settings
 ) -> tuple[Observation, State, Refined | None]:
-    """Return (Observation, State) with stacks of two for those things and upright solids that these explain better, and
+    """Return (Observation, State) with stacks of two for those things and solids that these explain better, and
     the State's Refined where it was made: where there is something to look at, and it stays as it is."""
     if seen.correlation <= CORRELATED or seen.no_floor or seen.interrupted or not settings.free_forms:
         return seen, state, None
     bears = {thing.parent for thing in seen.things}  # things: solids that stand on it go up with its top
-    looked_at = inexact(seen, state, [k for k, form in enumerate(state.forms) if form == UPRIGHT and k not in bears])
+    looked_at = inexact(
+        seen, state, [k for k, row in enumerate(state.rows) if int(row[0]) != SPHERE and k not in bears]
+    )
     if not (seen.things or looked_at):
         return seen, state, None
     refined = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
@@ -111,7 +113,7 @@ def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:
 
 def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, state: State, i: int,
              shown: np.ndarray, settings: Settings) -> State | None:  # fmt: skip
-    """Return the State in which upright solid `i`, which shows in a mask (H, W), is two, the upper one the last; None
+    """Return the State in which solid `i`, which shows in a mask (H, W), is two, both upright, the upper the last; None
     where it is likelier as one, or as a free-form surface."""
     view, rules, floor = view_of(seen), settings.rules, floor_pose_of(refined)
     sensor, both = refined.sensor._replace(observed=view.observed, beside=None).changed(), (i, len(state))
@@ -122,8 +124,9 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
         high = state.rows[list(both), 15].min() > least
         return bool(high and badness(seen, state)[1][list(both)].max() < most)
 
-    rows = best_upright(rng, seen, state, i, shown, lowest(state.rows[i]), settings)
-    twos = stacks(rng, seen, shown, state, i, rows, settings) if rows and len(state) < settings.max_objects else []
+    upright = state.changed(i, form=UPRIGHT, cube=False, bottom=lowest(state.rows[i]))
+    rows = best_upright(rng, seen, upright, i, shown, upright.bottoms[i], settings)
+    twos = stacks(rng, seen, shown, upright, i, rows, settings) if rows and len(state) < settings.max_objects else []
 
     def climbed(states: list[State], places: tuple[int, ...]) -> list[Refined]:
         """Return the Refined, climbed, of the TRIED of each pair of kinds that are likeliest before."""
@@ -147,7 +150,7 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     two, likely = likeliest(found, both)
     lower, upper = two.state.rows[list(both)]
     rows += [spanning(row, lowest(lower), highest(upper)) for row in (lower, upper)]
-    ones = [state, *(state.changed(i, row=row, cube=False) for row in rows)]
+    ones = [state, *(upright.changed(i, row=row) for row in rows)]
     one, alone = likeliest(climbed(ones, (i,)), (i,))
     left = make_chart(state.without(i), floor, rules)
     free = np.where(shown, smooth_surface(seen.image.depth, shown)[0], model_depth(*left, view.camera))
@@ -174,7 +177,7 @@ def parts_of_one(state: State, i: int, flush: float) -> bool:
 
 def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state: State, i: int,
            whole: list[np.ndarray], settings: Settings) -> list[State]:  # fmt: skip
-    """Return the States in which solid `i`, which shows in a mask (H, W), is two, cut at some height.
+    """Return the States in which upright solid `i`, which shows in a mask (H, W), is two, cut at some height.
 
     whole : rows of solids that explain all of it: of the lower one little may show.
     """
@@ -184,11 +187,11 @@ def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state
         if min(above.sum(), below.sum()) < LEFT_PIXELS:
             continue
         lowers = [spanning(row, bottom, cut) for row in whole]
-        there = state.changed(i, row=lowers[0], cube=False)
+        there = state.changed(i, row=lowers[0])
         uppers = best_upright(rng, seen, there, -1, above, cut, settings)
         lowers += best_upright(rng, taken_as_seen(seen, above), state, i, below, bottom, settings)
         for lower, upper in product(lowers, uppers):
-            new, level = state.changed(i, row=lower, cube=False), highest(lower)
+            new, level = state.changed(i, row=lower), highest(lower)
             new.parents = [len(state) if parent == i else parent for parent in new.parents]
             upper = spanning(upper, level, max(highest(upper), level + THINNEST))
             states.append(new.add(upper, UPRIGHT, False, i, level))

@@ -8,9 +8,10 @@ from derender.detection.estimate import settings_for
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, observe
 from derender.detection.solids.image import make_row
-from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import made_thing
+from derender.scene.pose import rotation_x
 from derender.scene.solids import BOX, CYLINDER, MESH
 from derender.structures.stacks import FLUSH, badness, parts_of_one, with_stacks
 
@@ -46,7 +47,9 @@ def test_a_stack_that_the_search_tells_as_one_can_or_as_a_thing_is_two():
     seen, settings = seen_by_a_sensor(*STACK)
     can = as_can(seen, (0.07, 0.07, 0.11))
     assert badness(*can)[1][0] > 2.0
-    for there, state in (can, as_thing(seen)):
+    x, y, _ = can[1].rows[0, 10:13]
+    tilted = State().add(make_row(BOX, rotation_x(0.3)[:3, :3], [x, y, 0.055], (0.06, 0.05, 0.1)), FREE, False)
+    for there, state in (can, (seen, tilted), as_thing(seen)):
         left, found, refined = with_stacks(np.random.default_rng(0), there, state, settings)
         assert not left.things and found.parents == [FLOOR, 0] and refined is None
         assert found.rows[:, 0].tolist() == [CYLINDER, BOX]
