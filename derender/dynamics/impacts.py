@@ -4,12 +4,13 @@ A film of the engine begins anew after each impact: with which speed is told by 
 """
 
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.dynamics.engine import LEVER, STEADY
 from derender.dynamics.motion import STRUCK_WITHIN, Motion
-from derender.dynamics.states import difference, from_poses, moved, to_poses
+from derender.dynamics.states import difference, from_poses, moved, plane_under, to_poses
 
 # A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
 # shows an impact.
@@ -26,14 +27,24 @@ STRUCK = 0.004
 BOUNCE = 0.3
 
 
+class Blow(NamedTuple):
+    """Two bodies that may have pushed each other between a frame and the one before."""
+
+    frame: int
+    first: int
+    second: int
+    begins: bool  # whether one of them rested until then
+
+
 class Impacts:
     """Tracked poses of one film, cut at impacts.
 
     motion : the film, of `frames` frames and `count` bodies. seen : (T, N) bool, where a pose tells something.
     rested : (N,) bool, whether a body rests in the first frame.
-    tracked : (T, N, 13), states at rest at the tracked poses. spread : (T, N, 6, 6), their covariances.
+    tracked : (T, N, 13), states at rest at the tracked poses. filled : interpolated where a body was not seen.
+    spread : (T, N, 6, 6), covariances of the tracked poses. floors : (4, 4) poses of planes.
     is_cut : (T, N) bool, the first frame and the first one after each impact; cuts : their (frame, body).
-    blows : (frame, body, body, m / s) of the cuts at which two bodies may have struck each other, and how fast.
+    blows : the cuts at which two bodies may have pushed each other.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -45,14 +56,16 @@ class Impacts:
         known = motion.seen[..., None, None]
         self.tracked = from_poses(np.where(known, motion.poses, np.eye(4)))
         self.spread = np.where(known, motion.covariances, np.eye(6))
+        self.filled = self._filled()
+        self.floors = [body.pose for body in motion.matter.bodies if body.kind == "plane"]
         self.is_cut = self._cuts()
-        self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
         self.blows = self._blows()
+        self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
 
     def _cuts(self) -> np.ndarray:
         """Return (T, N) bool: the first tracked frame after an impact, and the first frame of all."""
         step, gravity = self.motion.step, self.gravity
-        states = self.filled()
+        states = self.filled
         change = np.diff(difference(states[:-1], states[1:])[..., :6], axis=0) / step  # (T - 2, N, 6)
         linear = np.linalg.norm(change[..., :3] - gravity * step, axis=-1)
         turning = np.linalg.norm(change[..., 3:], axis=-1)
@@ -81,25 +94,39 @@ class Impacts:
         result[0] = True
         return result
 
-    def _blows(self) -> list[tuple[int, int, int, float]]:
-        """Return (frame, body, body, m / s) of the cuts at which two bodies may have met, and how fast."""
-        states, found = self.filled(), []
-        for frame in range(1, self.frames):
+    def _blows(self) -> list[Blow]:
+        """Return where two bodies may have pushed each other; what lies on a floor is cut at each frame of that.
+
+        After a blow they may stay together, or meet again, or rub along each other; and what is struck softly hardly
+        moves, which shows no impact.
+        """
+        states, poses, found = self.filled, to_poses(self.filled), list[Blow]()
+        gone, goes_on = (np.linalg.norm(states[..., :3] - states[end, :, :3], axis=-1) > STRUCK for end in (0, -1))
+        for frame in range(1, self.frames - 2):
             met: set[int] = set()
-            for k, j in combinations(np.flatnonzero(self.is_cut[frame]).tolist(), 2):
-                apart = np.diff(states[max(frame - FITTED, 0) : frame, [k, j], :3], axis=1)[:, 0]
-                if len(apart) < 2 or met & {k, j}:
+            for k, j in combinations(range(self.count), 2):
+                if met & {k, j} or not goes_on[frame - 1, [k, j]].any():
                     continue
-                fast = float(np.linalg.norm(apart[-1] - apart[0])) / ((len(apart) - 1) * self.motion.step)
-                near = STRUCK_WITHIN + fast * self.motion.step
-                poses = to_poses(states[frame - 1 : frame + 1, [k, j]])
-                bodies = [self.bodies[k], self.bodies[j]]
-                if min(a._replace(pose=p[0]).gap(b._replace(pose=p[1])) for a, b in [bodies] for p in poses) < near:
-                    found.append((frame, k, j, fast))
+                apart = np.diff(states[max(frame - FITTED, 0) : frame, [k, j], :3], axis=1)[:, 0]
+                fast = float(np.linalg.norm(apart[-1] - apart[0])) / (max(len(apart) - 1, 1) * self.motion.step)
+                gap = min(
+                    self.bodies[k]._replace(pose=first).gap(self.bodies[j]._replace(pose=second))
+                    for first, second in poses[frame - 1 : frame + 1, [k, j]]
+                )
+                struck = self.is_cut[frame, [k, j]].all() and gap < STRUCK_WITHIN + fast * self.motion.step
+                lie = gap < STRUCK_WITHIN and all(self.plane_at(frame, body) is not None for body in (k, j))
+                if struck or lie:
+                    found.append(Blow(frame, k, j, not gone[frame - 1, [k, j]].all()))
+                    self.is_cut[frame, [k, j]] = True
                     met |= {k, j}
         return found
 
-    def filled(self) -> np.ndarray:
+    def plane_at(self, frame: int, k: int) -> np.ndarray | None:
+        """Return the floor (4, 4) on which body k lies at a cut, or None. What comes down on one may rock; what lay on
+        it before a blow, too, is held to it."""
+        return plane_under(self.bodies[k], self.floors, self.filled[max(frame - 1, 0) :, k])
+
+    def _filled(self) -> np.ndarray:
         """Return tracked states (T, N, 13) at rest, interpolated where a body was not seen."""
         times = self.motion.times
         states = self.tracked.copy()
@@ -122,7 +149,7 @@ class Impacts:
         later = np.flatnonzero(self.is_cut[frame + 1 :, k])
         count = min(FITTED, len(states) - frame)
         if len(later):
-            count = min(count, max(int(later[0]), min(2, int(later[0]) + 1)))
+            count = min(count, max(int(later[0]), 2))
         if count < 2 or (frame == 0 and self.rested[k]):
             return np.zeros(6)
         time = self.motion.step * np.arange(count)

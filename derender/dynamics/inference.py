@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from derender.dynamics.engine import Engine, Scales
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamics_prior
-from derender.dynamics.shooting import Errors, Path, Shooting
+from derender.dynamics.shooting import Doubts, Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
 from derender.posterior.sampler import next_temperature, systematic
 from derender.sampling.evidence import draw_t, log_t
@@ -52,7 +52,7 @@ class Mode(NamedTuple):
     path: Path  # states, offsets and coordinates there
     by_pose: np.ndarray  # derivatives about it, as `Shooting.derivatives` gives them
     by_defect: np.ndarray
-    robust: np.ndarray  # (T, N), by how much each tracked pose counts
+    doubts: Doubts
     scales: Scales  # learnt there
     uncertain: np.ndarray  # (4,) standard errors of their logarithms
     log_marginal: float  # with all unknowns integrated out, linear about this mode
@@ -78,11 +78,11 @@ class Draws(NamedTuple):
         return self.coordinates[at], self.logarithms[at]
 
 
-def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np.ndarray | None = None) -> Path:
+def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Doubts | None = None) -> Path:
     """Return a path nearer to the least squares: Levenberg-Marquardt, with the errors of each step's path."""
     damping = FIRST_DAMPING
     for _ in range(steps):
-        errors = shooting.errors(path, scales, robust)
+        errors = shooting.errors(path, scales, doubts)
         jacobian = shooting.whitened(errors, *shooting.derivatives(path, 1))
         residual = shooting.residuals(path, errors)
         own, roots = shooting.prior_rows(path)
@@ -132,12 +132,12 @@ def log_marginal(
 
 
 def learn_scales(
-    shooting: Shooting, path: Path, derivatives: tuple, scales: Scales, robust: np.ndarray | None
+    shooting: Shooting, path: Path, derivatives: tuple, scales: Scales, doubts: Doubts | None
 ) -> tuple[Scales, float, np.ndarray]:
     """Return the scales of highest marginal density about a path, it, and their logarithms' standard errors (4,)."""
 
     def density(logarithms: np.ndarray) -> float:
-        errors = shooting.errors(path, Scales(*np.exp(logarithms)), robust)
+        errors = shooting.errors(path, Scales(*np.exp(logarithms)), doubts)
         return log_marginal(shooting, path, derivatives, errors, False)[0] + prior.log_density_of_scales(logarithms)
 
     prior = shooting.parameters.prior
@@ -159,18 +159,19 @@ def learn_scales(
     return Scales(*np.exp(best)), value, np.maximum(curvature, prior.log_scales()[1] ** -2) ** -0.5
 
 
-def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np.ndarray | None = None) -> Mode:
-    """Climb, then learn the scales, and how much each tracked pose counts."""
-    path = climb(shooting, path, scales, steps, robust)
+def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Doubts | None = None) -> Mode:
+    """Climb, then learn the scales, how much each tracked pose counts, and what pushed what."""
+    path = climb(shooting, path, scales, steps, doubts)
     derivatives = shooting.derivatives(path)
-    scales, value, uncertain = learn_scales(shooting, path, derivatives, scales, robust)
-    errors = shooting.errors(path, scales, robust)
+    scales, value, uncertain = learn_scales(shooting, path, derivatives, scales, doubts)
+    errors = shooting.errors(path, scales, doubts)
     precision = log_marginal(shooting, path, derivatives, errors, False)[1]
     covariance = np.linalg.inv(precision)
     ways = shooting.first
     first = ways @ covariance[: ways.shape[1], : ways.shape[1]] @ ways.T
-    weights = shooting.robust(path, errors, scales)
-    return Mode(path, *derivatives, weights, scales, uncertain, value, covariance, first)
+    less = None if doubts is None else doubts.blows
+    learnt = shooting.doubts(path, errors, scales, derivatives[1], covariance, less)
+    return Mode(path, *derivatives, learnt, scales, uncertain, value, covariance, first)
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
@@ -207,7 +208,7 @@ def find_modes(shooting: Shooting) -> list[Mode]:
     coarse = shooting.coarser()
     found = [find_mode(coarse, coarse.first_path(start), FIRST, SHORT) for start in first_coordinates(coarse)]
     found.sort(key=lambda mode: -mode.log_marginal)
-    best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
+    best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].doubts)
     return [best, *(mode for mode in found[1:] if mode.log_marginal > found[0].log_marginal - CLOSE)]
 
 
@@ -232,7 +233,7 @@ def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarra
         except Diverged:
             return -np.inf
         about = mode.path._replace(coordinates=coordinates)
-        errors = shooting.errors(about, Scales(*np.exp(logarithms)), mode.robust)
+        errors = shooting.errors(about, Scales(*np.exp(logarithms)), mode.doubts)
         return log_marginal(shooting, path, (mode.by_pose, mode.by_defect), errors, True)[0] + prior
 
     return density

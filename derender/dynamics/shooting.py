@@ -8,7 +8,7 @@ velocity while a body moves; so what happens before an impact tells little of wh
 linear in the states, these integrate out: that is the marginal likelihood of the material.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve, solve_triangular
@@ -17,7 +17,8 @@ from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, M
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
 from derender.dynamics.motion import HELD_WITHIN, Motion
 from derender.dynamics.parameters import Parameters
-from derender.dynamics.states import CHANGE, FREE, difference, flush, moved, plane_under, ways_of
+from derender.dynamics.states import CHANGE, FREE, difference, flush, moved, ways_of
+from derender.scene.friction import MEDIAN
 
 # Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
 # corners rattle. Metres, radians, m / s, rad / s; and of the material's coordinates.
@@ -55,6 +56,13 @@ class Path(NamedTuple):
     coordinates: np.ndarray  # (P,), of the material
 
 
+class Doubts(NamedTuple):
+    """What of a film is believed less, or in part: learnt at a mode."""
+
+    poses: np.ndarray  # (T, N), by how much each tracked pose's precision counts
+    blows: np.ndarray  # (B,), by how much less two bodies changed each other's velocity than they may have
+
+
 class Errors(NamedTuple):
     """Covariances of the residuals about a path."""
 
@@ -69,12 +77,11 @@ class Shooting(Impacts):
     def __init__(self, motion: Motion, parameters: Parameters, engine: Engine) -> None:
         super().__init__(motion)
         self.parameters, self.engine = parameters, engine
-        states, planes = self.filled(), [body.pose for body in motion.matter.bodies if body.kind == "plane"]
-        # what comes down on a plane may rock; what lay on it before a blow, too, is held to it
-        self.planes = [plane_under(self.bodies[k], planes, states[max(frame - 1, 0) :, k]) for frame, k in self.cuts]
+        states = self.filled
+        self.planes = [self.plane_at(frame, k) for frame, k in self.cuts]
         # Bodies that lie on a floor throughout meet in blows alone. What those do is told by what follows: films of
-        # blows are chaotic, and jump with each start. (Where no blow is seen, what is struck hardly moves.)
-        self.apart = len(self.blows) >= self.count - 1 > 0 and all(plane is not None for plane in self.planes)
+        # blows are chaotic, and jump with each start.
+        self.apart = self.count > 1 and all(plane is not None for plane in self.planes)
         if self.apart:
             engine.part()
         self.ways = []
@@ -117,7 +124,7 @@ class Shooting(Impacts):
 
     def first_path(self, coordinates: np.ndarray) -> Path:
         """Return a path whose states at the cuts are tracked, with velocities of the frames that follow."""
-        states = self.filled()
+        states = self.filled.copy()
         offsets = np.zeros((self.count, 3))
         up = -self.engine.gravity / max(float(np.linalg.norm(self.engine.gravity)), 1e-9)
         for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
@@ -260,7 +267,7 @@ class Shooting(Impacts):
             fill(self.size + number, 0, ways, 2 * COORDINATE_STEP)
         return by_pose, by_defect
 
-    def errors(self, path: Path, scales: Scales, robust: np.ndarray | None = None) -> Errors:
+    def errors(self, path: Path, scales: Scales, doubts: Doubts | None = None) -> Errors:
         """Return the residuals' covariances: those of tracking, and of the engine's velocities carried on."""
         step = self.engine.interval
         impulse = self.impulses(path)
@@ -291,39 +298,45 @@ class Shooting(Impacts):
             reached[self.is_cut[:, k]] = 0.0
             shown = np.flatnonzero(self.seen[:, k])
             model = reached[shown] @ reached[shown].T + np.diag(self.motion.held[shown, k] * HELD_WITHIN**2)
-            for frame, *pair, _ in self.blows:  # it may have begun before the frame that shows it, by what that takes
-                model += np.diag((shown == frame - 1) * (k in pair) * (STRUCK / 2) ** 2)
+            for frame, *pair, begins in self.blows:  # it may have begun before the frame that shows it
+                model += np.diag((shown == frame - 1) * (begins and k in pair) * (STRUCK / 2) ** 2)
             covariance = np.zeros((len(shown), 6, len(shown), 6))
             for axis in range(6):
                 covariance[:, axis, :, axis] = model * (1.0 if axis < 3 else lever**2)
             weight = self._weights(k, scales)
-            if robust is not None:
-                weight = weight / np.sqrt(robust[shown, k])[:, None]
+            if doubts is not None:
+                weight = weight / np.sqrt(doubts.poses[shown, k])[:, None]
             each = np.arange(len(shown))
             covariance[each, :, each] += weight[:, :, None] * self.spread[shown, k] * weight[:, None]
             factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
             factors.append(factor)
             total += float(np.sum(np.log(np.diag(factor))))
-        self._add_blows(defects, path.coordinates, scales.impact)
+        self._add_blows(defects, path, scales.impact, doubts.blows if doubts else np.ones(len(self.blows)))
         for cut in self.flush:
             defects[cut][HELD] = 1.0
         total += 0.5 * float(np.sum(np.log(defects)))
         return Errors(factors, defects, total)
 
-    def _add_blows(self, defects: np.ndarray, coordinates: np.ndarray, impact: float) -> None:
+    def _add_blows(self, defects: np.ndarray, path: Path, impact: float, less: np.ndarray) -> None:
         """Add to the variances (T, N, 12) of defects what is not known of blows between two bodies.
 
         Where on their faces, when and how elastically they hit each other changes their velocity to each other by as
-        much as it was. The momentum of both is kept but for a share `impact`, and for friction since a moment that is
-        not known: so it tells the ratio of their masses, however the engine bounces.
+        much as it was, and friction's while they stay together. The momentum of both is kept but for a share `impact`,
+        and, where one would rest, for friction that acts on it until, or since, a moment that is not known: so it tells
+        the ratio of their masses, however the engine bounces.
         """
-        step, friction = self.engine.interval, self.parameters.material(coordinates).friction
-        slowed = friction * float(np.linalg.norm(self.engine.gravity)) * step / np.sqrt(12)
-        for frame, k, j, fast in self.blows:
-            shares = self._shares(k, j, coordinates)
+        step = self.engine.interval
+        # of usual things: by how little is pushed what hardly moves, its friction must not be told
+        slowed = MEDIAN * float(np.linalg.norm(self.engine.gravity)) * step
+        for (frame, k, j, _), part in zip(self.blows, less, strict=True):
+            shares, arrived = self._shares(k, j, path.coordinates), path.arrived[frame, [k, j]]
+            turning = 0.5 * self.sizes[[k, j]] * np.linalg.norm(arrived[:, 10:], axis=1)
+            fast = part * float(np.linalg.norm([*(arrived[1] - arrived[0])[7:10], *turning, slowed]))
+            rests = np.linalg.norm(arrived[:, 7:10], axis=1).min() < RESTS
             for body, share in zip((k, j), shares[::-1] * fast, strict=True):
                 lever = LEVER / self.sizes[body]
-                off = share * np.array([step / 2, lever * step / 2, np.hypot(impact, slowed / share), lever])
+                kept = np.hypot(impact * share, rests * slowed / np.sqrt(12))
+                off = np.array([share * step / 2, share * lever * step / 2, kept, share * lever])
                 defects[frame, body] += np.repeat(off**2, 3)
             own = defects[frame, [k, j], 6:9]
             defects[frame, k, 6:9], defects[frame, j, 6:9] = shares**2 @ own, own.sum(axis=0) + fast**2
@@ -379,8 +392,24 @@ class Shooting(Impacts):
         coordinates = self.parameters.inside(path.coordinates + change[self.size :])
         return self.rolled(Path(states, path.arrived, offsets, coordinates), untold=untold)
 
-    def robust(self, path: Path, errors: Errors, scales: Scales) -> np.ndarray:
-        """Return by how much each tracked pose's precision counts (T, N), by what of its residual is tracking's."""
+    def doubts(
+        self, path: Path, errors: Errors, scales: Scales, by_defect: np.ndarray, covariance: np.ndarray, less: Any
+    ) -> Doubts:
+        """Return what a path tells of poses, by what of a residual is tracking's, and of blows.
+
+        Two bodies that are near each other may touch or not. By how much they change each other's velocity has a
+        variance of its own for each interval, learnt by a step of expectation maximisation: the mean square of what it
+        was, given all poses. Where these tell nothing it stays as it was.
+
+        by_defect, covariance : derivatives about the path, and (Z, Z) covariance of all unknowns. less : (B,) as
+            `Doubts.blows` in `errors`, or None.
+        """
+        less = np.ones(len(self.blows)) if less is None else less.copy()
+        change = self.defects(path)
+        for n, (frame, _, j, _) in enumerate(self.blows):
+            way = by_defect[frame, j, 6:8]
+            square = change[frame, j, 6:8] ** 2 + np.einsum("iz,zy,iy->i", way, covariance, way)
+            less[n] = min(less[n] * np.sqrt(float(np.mean(square / errors.defects[frame, j, 6:8]))), 1.0)
         residual = self.tracking_residuals(path)
         weights = np.ones((self.frames, self.count))
         for k, factor in enumerate(errors.factors):
@@ -391,4 +420,4 @@ class Shooting(Impacts):
             stated = weight[:, :, None] * self.spread[shown, k] * weight[:, None]
             square = np.einsum("ti,ti->t", error, np.linalg.solve(stated, error[..., None])[..., 0])
             weights[shown, k] = LOST / np.maximum(square, LOST)
-        return weights
+        return Doubts(weights, less)
