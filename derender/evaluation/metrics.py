@@ -4,7 +4,6 @@ Scenes are dictionaries as `derender show --json` prints them. Lengths are metre
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -316,23 +315,19 @@ def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def gaps(matter: "Matter", limit: float = 1.0) -> dict[tuple[str, str], float]:
-    """Return the signed distance of each pair of bodies in metres (negative: how deep they overlap).
+def gaps(matter: "Matter", near: float = TOLERANCE) -> dict[tuple[str, str], float]:
+    """Return how far the pairs of bodies that touch within `near` metres are apart; negative: how deep they overlap."""
+    from derender.physics.statics import find_contacts
 
-    Pairs of planes are left out; distances beyond `limit` are `limit`.
-    """
-    from derender.physics.mujoco_model import World
-
-    world = World(matter, keep_contacts=False)
-    kinds = {body.name: body.kind for body in matter.bodies}
-    return {
-        (a, b): world.gap(a, b, limit) for a, b in combinations(world.names, 2) if not (kinds[a] == kinds[b] == "plane")
-    }
+    found = find_contacts(matter._replace(supports=()), near)
+    pairs = zip(found.second.tolist(), found.first.tolist(), found.gap.tolist(), strict=True)
+    deepest_last = sorted(pairs, key=lambda pair: -pair[2])
+    return {(matter.bodies[a].name, matter.bodies[b].name): gap for a, b, gap in deepest_last}
 
 
 def floating(matter: "Matter", tolerance: float = TOLERANCE) -> list[str]:
     """Return the bodies that nothing joins to a plane or a fixed body, through touches within `tolerance` metres."""
-    near = [pair for pair, gap in gaps(matter).items() if gap <= tolerance]
+    near = gaps(matter, tolerance)
     held = {body.name for body in matter.bodies if body.kind == "plane" or body.fixed}
     reached = held
     while reached:

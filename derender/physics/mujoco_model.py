@@ -98,8 +98,7 @@ class World:
     """A compiled model of a scene and its state.
 
     matter : the scene.
-    keep_contacts : whether the distances at the start are the rest distances (see the module); without it the bodies
-        are as they are, for measuring gaps.
+    keep_contacts : whether the distances at the start are the rest distances (see the module).
     timestep : in units of sqrt(s / g); None: TIMESTEP, MOVING_TIMESTEP where a body moves at the start, or
         BOUNCING_TIMESTEP where one is elastic.
     sleeping : whether bodies at rest are left out of the computation until something touches them.
@@ -167,15 +166,6 @@ class World:
     def asleep(self) -> bool:
         """Whether every body that can move is at rest and left out of the computation."""
         return bool(self.data.ntree_awake == 0)
-
-    def gap(self, a: str, b: str, limit: float = 1.0) -> float:
-        """Return the signed distance of two bodies in metres (negative: how deep they overlap), at most `limit`."""
-        first, second = (self.names.index(name) for name in (a, b))
-        if self.matter.bodies[first].kind == self.matter.bodies[second].kind == "plane":
-            return limit
-        length = self.units.length
-        pairs = product(self._geoms_of[first], self._geoms_of[second])
-        return length * min(self._distance(a, b, limit / length) for a, b in pairs)
 
     def moving_poses(self) -> np.ndarray:
         """Return where the bodies that can move are now, (M, 4, 4) float64."""

@@ -154,7 +154,7 @@ def test_a_contact_that_is_wide_open_is_none():
 
 def test_overlapping_neighbours_are_not_thrown_apart():
     scene = matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.096, 0.05), supports=[("a", "floor"), ("b", "floor")])
-    assert World(scene).gap("a", "b") == pytest.approx(-0.004, abs=1e-9)
+    assert scene.bodies[1].gap(scene.bodies[2]) == pytest.approx(-0.004, abs=1e-9)
     verdict = judge(simulate(scene))
     assert verdict.stable and max(verdict.displacement.values()) < 1e-4
 

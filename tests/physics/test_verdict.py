@@ -47,7 +47,7 @@ def test_what_creeps_on_a_lean_rests_and_what_a_thousandth_of_gravity_would_have
 
 def test_gaps_floating_and_intersecting():
     scene = matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.09, 0.052), cube("c", 0.3, 0.07), cube("d", 0, 0.153))
-    found = gaps(scene)
+    found = gaps(scene, 0.03)
     assert found["floor", "c"] == pytest.approx(0.02) and found["a", "b"] == pytest.approx(-0.01)
     assert floating(scene) == ["c"]
     assert floating(scene, tolerance=0.0005) == ["c", "d"]
