@@ -14,9 +14,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from derender.detection.floor import LEVEL
 from derender.detection.freestanding import BORDER, FARTHER, LARGEST, NEARER, outline_shares, stand_free
 from derender.detection.outline import ends_of
-from derender.detection.patches import APART, SeenSurface
+from derender.detection.patches import APART, SeenSurface, local_planes
 from derender.detection.search.bodies import label_bodies
 from derender.detection.segments import segments
 from derender.scene.hull import convex_outline, outline_planes
@@ -32,15 +33,15 @@ HANGS = 0.6  # share of a floating body's lower edge under which the support or 
 BORNE = 0.1  # share of that edge under which what shows is high enough to bear it from which on it does not hang
 FEWEST = 8  # pixels of a body that is told apart; smaller ones are as their pixels are
 DIRECTIONS = 8  # in which a body's length along the support is taken
-MAIN = 0.1  # of the floor's largest piece in pixels: smaller pieces of its plane lie there by chance
 MARGIN = 0.01  # metres beyond the outline that still count as over it
 WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and how near the edge how much of it stands
 PIECE = 60  # pixels of a piece of a longer body, at least
+PARTED = 0.003  # of the image's pixels, what shows a piece of the floor at least that solids part
 FOOT = 0.03  # metres over the support that what a body shows in a column may end and stand there
 STANDS = 0.6  # share of its columns in which a body ends at its foot from which on it shows that it stands
 DOWN = 0.75  # of its top's height over the support, how much a body shows at least that comes down to it
 LARGE = 0.02  # share of the pixels with a depth: what shows in less, cut off by the border, is a detail
-LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metres below the top; share of the pixels
+FLAT, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level top with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
 
@@ -148,7 +149,7 @@ def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     normal : (K, 3) of the surface at each point.
     """
     top = np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SHARE) - TOP
-    return np.mean((points[:, 2] > top) & (normal[:, 2] > LEVEL)) > TOP_SHARE
+    return np.mean((points[:, 2] > top) & (normal[:, 2] > FLAT)) > TOP_SHARE
 
 
 def shows_foot(surface: SeenSurface, mask: np.ndarray, beyond: np.ndarray) -> bool:
@@ -322,11 +323,21 @@ def wall_behind(
 
 
 def main_part(points: np.ndarray, inliers: np.ndarray, footprint: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: the pixels on the floor's plane without those apart from it that lie there by chance."""
+    """Return (H, W) bool: the pixels on the floor's plane without those that lie there by chance.
+
+    A solid may part the floor in pieces; a piece of a wall or of clutter that the plane cuts is not level itself.
+    """
     slope = np.abs(points[..., 2] - origin[2]) / np.linalg.norm(points - origin, axis=-1)  # of the rays to the floor
-    part, count = label_bodies(points, inliers, np.ascontiguousarray(APART * footprint / np.maximum(slope, 1e-3)))
-    pixels = np.bincount(part[part >= 0], minlength=max(count, 1))
-    return inliers & (pixels[part] > MAIN * pixels.max())
+    jump = np.ascontiguousarray(APART * footprint / np.maximum(slope, 1e-3))
+    part, count = label_bodies(points, inliers, jump)
+    if count == 0:
+        return inliers
+    normal, own = local_planes(points, inliers, origin, jump, 2)[0], part[inliers]
+    x, y, z = (np.bincount(own, values, count) for values in normal[inliers].T)
+    pixels = np.bincount(own, minlength=count)
+    level = (z > LEVEL * np.sqrt(x**2 + y**2 + z**2)) & (pixels >= PARTED * inliers.size)
+    level[pixels.argmax()] = True
+    return inliers & level[part]
 
 
 def beyond_outline(points: np.ndarray, inliers: np.ndarray, good: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
-from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, shows_foot
+from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, main_part, shows_foot
 from derender.detection.floor import local_noise
 from derender.detection.patches import SeenSurface
 from derender.detection.search.observation import observe
@@ -178,3 +178,15 @@ def test_the_border_is_where_returns_begin_not_the_top_of_a_solid():
     can = np.zeros((60, 80), bool)
     can[25:, :] = can[8:, 30:40] = True
     assert frame_seen(can) == (0, 59, 0, 79)
+
+
+def test_a_piece_of_the_floor_that_a_solid_parts_is_kept_and_a_piece_of_a_wall_is_not():
+    y, x = np.indices((60, 70)) * 0.01
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    points[:, 66:, 2] = x[:, 66:] - 0.68  # it crosses the plane at half a right angle
+    on_plane = np.ones(x.shape, bool)
+    on_plane[:, 50:56] = on_plane[:, 60:66] = False
+    kept = main_part(points, on_plane, np.full(x.shape, 0.01), np.array([0.3, 0.3, 1.0]))
+    assert kept[:, :50].all()
+    assert kept[:, 56:60].all()  # 240 pixels beside 3,000
+    assert not kept[:, 66:].any()
