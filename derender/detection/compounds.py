@@ -110,7 +110,8 @@ def part_of_another(
             return k, other
         if k < len(state) and shares_of_load(state.rows, k, HELD):
             continue
-        onward = touched[other] > JOINT * outline and turned[other] > -TURN * touched[other]
+        much = other >= len(state) or mask.sum() >= PART * (piece == other).sum()
+        onward = much and touched[other] > JOINT * outline and turned[other] > -TURN * touched[other]
         if onward and hangs(seen, state.without(k) if k < len(state) else state, mask):
             return k, other
     return None
@@ -130,7 +131,7 @@ def meets(
         apart = np.roll(points, NEXT * way, axis) - points
         distance = np.linalg.norm(apart, axis=2)
         other = np.roll(piece, NEXT * way, axis)
-        at = mask & ~np.roll(mask, way, axis) & (distance < NEXT * surface.jump) & (other >= 0) & (other != k)
+        at = mask & ~np.roll(mask, way, axis) & (distance < NEXT * TIGHT * surface.jump) & (other >= 0) & (other != k)
         turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)[at] / distance[at]
         touched += np.bincount(other[at], minlength=count)
         turned += np.bincount(other[at], turn, count)
@@ -224,15 +225,6 @@ def neck(state: State) -> tuple[int, int] | None:
     return None
 
 
-def belongs_to(seen: Observation, state: State, mask: np.ndarray) -> int | None:
-    """Return the solid, nothing on it, of which a piece that does not stand out enough to be an object is a part: that
-    which it goes on from, of which it shows too much to be a fault of the image; else None. An L's foot, a handle."""
-    part = goes_on_from(seen, state, mask)
-    if part is None or mask.sum() < PART * (held_out(seen.image, state, -1)[1] == part).sum():
-        return None
-    return part
-
-
 def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:
     """Return the upright cylinder about whose axis alone a thing stands, no wider than it: a bottle's body, of which
     the thing is shoulder and neck; else None."""
@@ -317,7 +309,9 @@ def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: n
 
 
 def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Sequence[int] = ()) -> int | None:
-    """Return the solid, nothing on it, that goes on along most of a thing's outline, of some first; None: none does."""
+    """Return the solid, nothing on it, that goes on along most of a thing's outline, of some first; None: none does, or
+    the thing shows too little beside it to be more than a fault of the image. An L's foot, a handle.
+    """
     label = held_out(seen.image, state, -1)[1]
     jump = TIGHT * seen.surface.jump
     outline, touched = 0, np.zeros(max(len(state), 1), int)
@@ -331,4 +325,5 @@ def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Seque
     if below:
         touched = np.where(np.isin(np.arange(len(touched)), below), touched, 0)
     k = int(np.argmax(touched))
-    return k if touched[k] > JOINT * outline and k not in state.parents else None
+    much = mask.sum() >= PART * (label == k).sum()
+    return k if much and touched[k] > JOINT * outline and k not in state.parents else None

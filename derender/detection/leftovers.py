@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
+from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import body_hypotheses, box_about, bridged, label_bodies
@@ -82,7 +82,7 @@ def leftovers(
         ):
             continue
         exists = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
-        part = None if exists else belongs_to(seen, state, mask)
+        part = None if exists else goes_on_from(seen, state, mask)
         if exists and goes_on(seen.surface, mask, shows, cost.normal):
             part = goes_on_from(seen, state, mask)
             if part is None or share_over(seen.points[mask], state.rows[part]) <= BENEATH:

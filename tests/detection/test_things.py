@@ -7,7 +7,16 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
 
-from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck, part_of_another, slope_of
+from derender.detection.compounds import (
+    falling,
+    goes_on,
+    hangs_on,
+    held_by_another,
+    meets,
+    neck,
+    part_of_another,
+    slope_of,
+)
 from derender.detection.estimate import point_estimate
 from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import leftovers, swaps
@@ -181,6 +190,30 @@ def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_
         masks = [(seen.mask & over, 0.0), (seen.mask & ~over, 0.0)]
         assert min(mask.sum() for mask, _ in masks) > 50
         assert part_of_another(seen, State(), masks, normal) == expected
+
+
+@pytest.mark.parametrize("behind, touches", [(0.005, True), (0.02, False)])
+def test_what_lies_well_behind_something_does_not_touch_it(behind, touches):
+    """A cube was taken for a part of a tool that hung behind it."""
+    y, x = np.indices((12, 12)) * 0.002
+    piece = np.repeat([[0] * 6 + [1] * 6], 12, axis=0)
+    points = np.stack([x, y, 1.0 + behind * piece], axis=-1)
+    touched, _ = meets(surface_through(points), piece, 0, 2, np.zeros_like(points))
+    assert (touched[1] > 0) == touches
+
+
+@pytest.mark.parametrize("reach, expected", [(0.008, None), (0.03, (1, 0))])
+def test_what_shows_next_to_nothing_on_a_solid_s_side_makes_no_other_thing_of_it(reach, expected):
+    """A cube of 3,000 pixels was no cube because of 89 that a smoothed edge had beside it."""
+    size = np.array([0.12, 0.1, 0.2])
+    seen = observe(seen_on_the_table([(BOX, 0.0, 0.0, tuple(size), None)]), CAMERA)
+    place = np.linalg.inv(seen.floor.pose) @ TABLE
+    centre = place[:3] @ [0.0, 0.0, 0.1, 1.0]
+    state = State().add(make_row(BOX, place[:3, :3], centre, size), UPRIGHT, False, FLOOR, 0.0)
+    near = np.abs((seen.points - centre) @ place[:3, :3])
+    patch = seen.mask & (near[..., 0] < reach) & (near[..., 2] < reach)
+    assert patch.sum() >= 12
+    assert part_of_another(seen, state, [(patch, 0.0)], seen.surface.normals(seen.surface.good)) == expected
 
 
 @pytest.mark.parametrize("share, expected", [(0.08, (0, 1)), (0.3, None)])
