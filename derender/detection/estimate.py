@@ -99,7 +99,8 @@ def on_one_floor(
         same = Support.over(seen.floor) if seen.rivals else plane  # the choice among floors is made once
         with contextlib.suppress(NoFloor):  # it is one in this resolution
             closer = observe(depth, camera, wanted, same, settings.may_float, fills, floor)
-            seen = seen if closer.no_floor else closer._replace(rivals=seen.rivals)
+            if not closer.no_floor:  # whose few pixels may not tell what noise it has
+                seen = closer._replace(rivals=seen.rivals, correlation=max(seen.correlation, closer.correlation))
     if correlation is not None:
         seen = seen._replace(correlation=correlation)
     settings = settings_for(settings, seen)

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
 
+from derender.detection import estimate
 from derender.detection.compounds import (
     falling,
     goes_on,
@@ -548,3 +549,18 @@ def test_a_small_box_on_another_is_a_box_where_pixels_count_for_fewer():
     state, observed = point_estimate(np.random.default_rng(0), seen.depth, seen.camera)
     assert not observed.things
     assert sorted(int(row[0]) for row in state.rows) == [BOX, BOX, SPHERE]
+
+
+def test_a_sensor_image_stays_one_where_fewer_columns_do_not_show_what_noise_its_floor_has(monkeypatch):
+    image = seen_on_the_table([(BOX, 0.0, 0.0, (0.09, 0.07, 0.12), None)])
+    looks = []
+
+    def look(*arguments, **others):
+        looks.append(observe(*arguments, **others)._replace(correlation=0.1 if looks else 0.5))
+        return looks[-1]
+
+    monkeypatch.setattr(estimate, "observe", look)
+    monkeypatch.setattr(estimate, "width_wanted", lambda seen: 80)
+    _, seen = point_estimate(np.random.default_rng(0), image, CAMERA, Settings(tries=1))
+    assert len(looks) == 2
+    assert seen.correlation == 0.5
