@@ -104,13 +104,8 @@ def size_table(best: SceneGraph, graphs: Sequence[SceneGraph]) -> np.ndarray:
 
 def structure_table(posterior: Posterior, graphs: Sequence[SceneGraph]) -> np.ndarray:
     """Return (parts, n) 1 where a scene has the structure of a part, else 0."""
-    keys = [structure(part.graph) for part in posterior.parts]
-    return np.array([[float(structure(graph) == key) for graph in graphs] for key in keys])
-
-
-def structure(graph: SceneGraph) -> tuple:
-    """Return what tells two structures apart: each object's name, shape and supports."""
-    return tuple(sorted((vertex.name, vertex.shape, vertex.parent, vertex.supports) for vertex in graph.vertices))
+    keys, drawn = [part.graph.structure() for part in posterior.parts], [graph.structure() for graph in graphs]
+    return np.array([[float(each == key) for each in drawn] for key in keys])
 
 
 def candidates(graph: SceneGraph) -> list[tuple[np.ndarray, float, float, float]]:

@@ -12,7 +12,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.statics import find_contacts, widest_gap
-from derender.scene.graph import ROOT, Contact, Vertex, nearest_contact
+from derender.scene.graph import ROOT, Contact, Vertex, floating, nearest_contact
 from derender.scene.pose import inverse
 
 if TYPE_CHECKING:
@@ -231,6 +231,7 @@ def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -
     """
     end = at_rest(trajectory, matter)
     poses = {**graph.poses(), **{body.name: body.pose for body in end.bodies}}
+    from_camera = inverse(np.asarray(graph.root_pose, dtype=float))
     on = bearers(end)
     there = {body.name for body in end.bodies}
     moving = {body.name for body in end.bodies if body.moves}
@@ -241,7 +242,7 @@ def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -
     for vertex in waiting:
         choices = [name for name in on[vertex.name] if name in placed]
         choices.sort(key=lambda name: (name != vertex.parent, -float(poses[name][:3, 3] @ matter.up)))
-        new = replace(vertex, parent=ROOT, supports=(), contact=_floating(graph, poses[vertex.name]))
+        new = replace(vertex, parent=ROOT, supports=(), contact=floating(from_camera @ poses[vertex.name]))
         for parent in choices:
             contact = _contact(inverse(poses[parent]) @ poses[vertex.name], placed[parent].body, vertex.body)
             if contact is not None:
@@ -274,11 +275,3 @@ def _contact(relative: np.ndarray, parent: "Body", child: "Body") -> Contact | N
             values = {key: x for key, x in contact.values.items() if key not in left.slack or abs(x) > LEAST_SLACK}
             best = (slack, replace(contact, values=values))
     return None if best is None else best[1]
-
-
-def _floating(graph: "SceneGraph", pose: np.ndarray) -> Contact:
-    from derender.scene.graph import ROOT_BODY
-    from derender.scene.shapes import Body, shapes
-
-    relative = inverse(np.asarray(graph.root_pose, dtype=float)) @ pose
-    return nearest_contact(relative, ROOT_BODY, Body(shapes["frame"]), "6dof")[0]

@@ -121,6 +121,11 @@ def nearest_contact(
     return best[1], best[2]
 
 
+def floating(pose: np.ndarray) -> Contact:
+    """Return the 6dof contact of a pose (4, 4) under the root."""
+    return Contact("6dof", values=contacts["6dof"].invert(pose, ROOT_BODY, ROOT_BODY, None, None).phi)
+
+
 def solids_of(vertices: list[Vertex], poses: Mapping[str, np.ndarray]) -> Solids:
     """Return vertices with extent as flat arrays; a mesh that several share appears once."""
     count = len(vertices)

@@ -27,10 +27,10 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.pyramid import spread_of
 from derender.detection.solids.beliefs import Beliefs, box_log_density
-from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, floating, periods_of, without
+from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, periods_of, without
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
-from derender.scene.graph import ROOT, SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Cartons
 from derender.scene.solids import BOX

@@ -15,9 +15,9 @@ import numpy as np
 from derender.detection.floor import NoFloor
 from derender.detection.levels import levels_of, patch_of
 from derender.detection.search.observation import Observation, Support, of_whole_image
-from derender.detection.solids.graph import FLOOR_NAME, floating
+from derender.detection.solids.graph import FLOOR_NAME
 from derender.results.posterior import StructurePosterior
-from derender.scene.graph import ROOT, Contact, SceneGraph
+from derender.scene.graph import ROOT, Contact, SceneGraph, floating
 from derender.scene.pose import inverse
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
 

@@ -13,7 +13,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import LEAST_GAP, touches
 from derender.errors import DerenderError
 from derender.scene.contacts import contacts
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating
 from derender.scene.solids import BOX, SPHERE
 
 if TYPE_CHECKING:
@@ -49,11 +49,6 @@ def vertex_of(row: np.ndarray, cube: bool, name: str) -> Vertex:
         shape, parameters = "cylinder", {"radius": size[0] / 2, "height": size[2]}
     contact = floating(pose_of(row))
     return Vertex(name, shape, parameters, ROOT, contact)
-
-
-def floating(pose):
-    """Return the 6dof Contact of a pose (4, 4) under the root."""
-    return Contact("6dof", values=contacts["6dof"].invert(pose).phi)
 
 
 def names_of(state: State) -> list[str]:

@@ -21,14 +21,14 @@ from derender import __version__
 from derender.detection.floor import read_floor
 from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import any_sensor
-from derender.detection.solids.graph import floating, scene_graph
+from derender.detection.solids.graph import scene_graph
 from derender.document import Document, document_text, read_prior_document
 from derender.errors import DerenderError
 from derender.posterior.target import ObservedImage
 from derender.results.posterior import Posterior, StructurePosterior, scene_of
 from derender.sampling import diagnostics
 from derender.sampling.chains import Plan, Record, Segment, fingerprint, run_chains
-from derender.scene.graph import ROOT, SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.pose import inverse
 from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, written

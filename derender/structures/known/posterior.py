@@ -10,7 +10,7 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.graph import floating, pose_of, scene_graph, turns_freely, vertex_of
+from derender.detection.solids.graph import pose_of, scene_graph, turns_freely, vertex_of
 from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE
 from derender.detection.solids.state import State
@@ -20,7 +20,7 @@ from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.results.posterior import StructurePosterior
 from derender.sampling.chains import Plan, run_chains
 from derender.scene.distributions import Distribution, distributions
-from derender.scene.graph import ROOT, SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.structures.given import part_at, part_of
 from derender.structures.known.identities import Placed, Placement, identity_probabilities, state_of
