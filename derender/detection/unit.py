@@ -54,20 +54,37 @@ def in_metres(posterior: "Posterior", unit: float) -> "Posterior":
 def part_in_metres(part: "StructurePosterior", unit: float) -> "StructurePosterior":
     """Return a StructurePosterior with all lengths in metres; its log densities keep their unit."""
     powers = powers_of(part.graph)
-    factors = np.array([unit ** powers.get(address, 0) for address in part.addresses])
     graph = part.graph.with_numbers({k: v * unit ** powers.get(k, 0) for k, v in part.graph.numbers().items()})
-    root = None if part.root_pose is None else pose_in_metres(part.root_pose, unit)
     extras = dict(part.extras)
     if "likelihood" in extras:
         extras["likelihood"] = likelihood_in_metres(extras["likelihood"], unit)
-    return replace(part, graph=replace(graph, root_pose=pose_in_metres(graph.root_pose, unit)),
-                   values=part.values * factors, root_pose=root, extras=extras)  # fmt: skip
+    part = stretched(part, np.full(part.log_density.shape, unit))
+    return replace(part, graph=replace(graph, root_pose=farther(graph.root_pose, unit)), extras=extras)
 
 
-def pose_in_metres(pose: np.ndarray, unit: float) -> np.ndarray:
-    """Return poses (..., 4, 4) with their places in metres."""
+def scale_drawn(rng: np.random.Generator, part: "StructurePosterior", scale: float) -> "StructurePosterior":
+    """Return a StructurePosterior whose draws have the sensor's scale open, all but the best; scale : see Loose."""
+    factors = np.exp(scale * rng.standard_normal(part.log_density.shape))
+    factors.flat[part.log_density.argmax()] = 1.0
+    return stretched(part, factors)
+
+
+def stretched(part: "StructurePosterior", factors: np.ndarray) -> "StructurePosterior":
+    """Return a StructurePosterior whose draws are so many times as large, and as far from the camera, each by a factor
+    (chains, draws) of its own."""
+    powers = powers_of(part.graph)
+    lengths = np.array([powers.get(address, 0) for address in part.addresses], int)
+    root = part.graph.root_pose if part.root_pose is None else part.root_pose
+    root = np.broadcast_to(root, (*factors.shape, 4, 4))
+    return replace(
+        part, values=part.values * factors[..., None] ** lengths, root_pose=farther(root, factors[..., None])
+    )
+
+
+def farther(pose: np.ndarray, factor: float | np.ndarray) -> np.ndarray:
+    """Return poses (..., 4, 4) with their places so many times as far away."""
     pose = np.array(pose, float)
-    pose[..., :3, 3] *= unit
+    pose[..., :3, 3] *= factor
     return pose
 
 

@@ -17,7 +17,7 @@ from derender.detection.search.observation import CORRELATED, Observation, of_wh
 from derender.detection.solids.beliefs import Beliefs, beliefs_of, sensor_beliefs
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
-from derender.detection.unit import in_metres, unit_of
+from derender.detection.unit import in_metres, scale_drawn, unit_of
 from derender.errors import DerenderError
 from derender.results.check import LEAST_FITTING, LEAST_FLOOR
 from derender.results.fit import Explanation
@@ -201,6 +201,8 @@ def completed(
             others.append((finished(rng, case, more, there, other, settings), other))
             observations.append(other)
         parts = with_supports(parts, seen, others)
+        if seen.correlation > CORRELATED:
+            parts = [scale_drawn(rng, part, case.beliefs.loose.scale) for part in parts]
     if isinstance(case.plane, str) or (seen.no_floor and seen.things):  # an empty scene keeps its floor, far below
         parts = [without_floor(part) for part in parts]
     return parts, observations, extras

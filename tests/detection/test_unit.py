@@ -8,9 +8,15 @@ import pytest
 from derender.camera.intrinsics import Camera
 from derender.detection import unit as detection_unit
 from derender.detection.solids.beliefs import bare_image
-from derender.detection.unit import likelihood_in_metres, part_in_metres
+from derender.detection.solids.graph import scene_graph
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import State
+from derender.detection.unit import likelihood_in_metres, part_in_metres, scale_drawn
 from derender.render.raycast.depth import render_depth
-from derender.scene.pose import rotation_z, translation
+from derender.results.posterior import StructurePosterior
+from derender.scene.pose import rotation_x, rotation_z, translation
+from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 from worlds.made_scenes import SETS, make_scene, photograph, render_floor_scene
@@ -50,6 +56,25 @@ def test_every_length_of_a_posterior_is_converted():
             assert other.poses()[name][:3, :3] == pytest.approx(pose[:3, :3], abs=1e-9)
     numbers, threefold = part.extras["likelihood"], large.extras["likelihood"]
     assert threefold["sigma"] == pytest.approx(3.0 * numbers["sigma"]) and threefold["blur"] == numbers["blur"]
+
+
+def test_draws_are_of_scenes_a_little_larger_and_farther_or_smaller_and_nearer():
+    """All of a draw together, so that the image is the same; the best stays as it is."""
+    box = make_row(BOX, np.eye(3), np.array([0.1, 0.05, 0.04]), np.array([0.1, 0.06, 0.08]))
+    graph = scene_graph(State().add(box, UPRIGHT, False), translation(0.0, 0.1, 0.9) @ rotation_x(2.0))
+    addresses = ("box_1.length", "box_1.width", "box_1.height", "box_1.contact.x", "box_1.contact.y")
+    values = np.tile([graph.numbers()[address] for address in addresses], (2, 50, 1))
+    density = np.zeros((2, 50))
+    density[1, 7] = 1.0
+    drawn = scale_drawn(np.random.default_rng(0), StructurePosterior(graph, addresses, values, density, density), 0.01)
+    place, size = graph.poses()["box_1"][:3, 3], np.array(graph.body("box_1").size())
+    scenes = [drawn.graph_at(*draw) for draw in np.ndindex(2, 50)]
+    factors = np.array([scene.body("box_1").size()[0] / size[0] for scene in scenes])
+    assert 0.007 < np.std(np.log(factors)) < 0.013 and factors[57] == 1.0
+    for factor, scene in zip(factors, scenes, strict=True):
+        np.testing.assert_allclose(scene.body("box_1").size(), factor * size)
+        np.testing.assert_allclose(scene.poses()["box_1"][:3, 3], factor * place, atol=1e-12)
+        np.testing.assert_allclose(scene.poses()["floor"][:3, 3], factor * graph.poses()["floor"][:3, 3])
 
 
 @pytest.mark.parametrize("times", [0.1, 12.0])

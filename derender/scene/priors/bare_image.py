@@ -145,6 +145,7 @@ class Loose:
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
     faces : standard deviation in metres by which each face of a real solid is off where a real sensor shows it: neither
         is even, and slow biases span whole faces.
+    scale : standard deviation of the share by which all that a real sensor shows is too far or too near.
     friction : coefficient of one contact, on which hangs which of several supports bears most.
     crowding : how many solids seen on a floor tell as much of how crowded it is as the number in `offspring`.
     """
@@ -155,6 +156,7 @@ class Loose:
     slack_seen: float = 0.002  # the same where a real sensor shows it
     overlap: float = 3e-4  # metres by which solids may enter each other
     faces: float = 0.003
+    scale: float = 0.01
     hanging: float = 1e-13  # probability of touching nothing
     tipping: float = 0.01  # weight of what its contacts cannot hold without friction
     friction: Distribution = field(default_factory=lambda: distributions["log-normal"](MEDIAN, SPREAD))
@@ -235,6 +237,7 @@ GROUPS: dict[str, tuple[Any, dict]] = {
                        "explained": ("", 1e-9), "": ("", 1e-9, 1.0)}),
 }  # fmt: skip
 NUMBERS = {**dict.fromkeys(("slack", "slack_seen", "overlap", "faces"), ("m", 1e-6)), "crowding": ("", 1e-9),
+           "scale": ("", 0.0, 0.1),
            **dict.fromkeys(("hanging", "tipping"), ("", 1e-300, 1.0)), "stranger": SHARE}  # fmt: skip
 
 
