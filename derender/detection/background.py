@@ -2,9 +2,8 @@
 
 A body stands on the support where it rises from the visible part of it. One that is long, or cut by the image's border
 so that its top is not seen, or that floats, or lies beyond the support's outline, is a wall, a shelf, a person or the
-room behind: explained as it is seen, and no solid. An object that fills the image stands beyond the outline too, but it
-is joined to what stands over visible floor, is no higher than the camera, and no wider than FILLING. A wall is an
-upright plane that ends the floor, with nothing of the image behind it.
+room behind: explained as it is seen, and no solid. A wall is an upright plane that ends the floor, with nothing of the
+image behind it.
 
 All lengths here are counted in metres as they would be were the floor seen from `USUAL` metres (`floor.scale_of`):
 what is long on a desk is short in a hall.
@@ -238,34 +237,6 @@ def floats(surface: SeenSurface, mask: np.ndarray) -> bool:
     nothing = np.minimum(apart, underneath) > surface.jump[:-1][lower]
     bears = below[:, 2] > lowest - FLOATS
     return float(np.mean(nothing & lies_deeper)) > HANGS and bears.mean() < BORNE
-
-
-FILLING = 0.5  # metres across
-BEYOND = 0.5  # of what stands over the floor: with less beyond its outline nothing fills the image
-JOINING = 4  # pixels over visible floor that join an object to it
-
-
-def joined_to_floor(
-    points: np.ndarray, above: np.ndarray, inside: np.ndarray, footprint: np.ndarray, camera_height: float
-) -> np.ndarray:
-    """Return (H, W) bool: pixels beyond the floor's outline that belong to an object which fills the image.
-
-    points : (H, W, 3) float64, floor frame. above : (H, W) bool, pixels that stand over the floor's plane.
-    inside : (H, W) bool, pixels within the outline of the visible floor. footprint : (H, W) metres across a pixel.
-    camera_height : metres over the floor.
-    """
-    found = np.zeros(above.shape, bool)
-    beyond = above & ~inside
-    if beyond.sum() < BEYOND * max(above.sum(), 1):
-        return found
-    labels, _ = label_bodies(points, above, 4 * footprint + 0.004)
-    for label in np.unique(labels[above & inside]):
-        member = labels == label
-        own = points[member]
-        spread = float(np.ptp(own[:, :2], axis=0).max())
-        if (member & inside).sum() >= JOINING and own[:, 2].max() < camera_height and spread < FILLING:
-            found |= member
-    return found
 
 
 ANGLES = 90  # directions of a wall that are tried, over half a turn

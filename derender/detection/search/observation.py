@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.background import beyond_outline, joined_to_floor, main_part, standing_bodies, walls_behind
+from derender.detection.background import beyond_outline, main_part, standing_bodies, walls_behind
 from derender.detection.floor import (
     GRAZING,
     LEVEL,
@@ -331,10 +331,8 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     there, eye, wide, rough = (each / scale for each in (points, image.origin, footprint, sigma))
     if not fills:
         beyond |= walls_behind(there, own, above & own, rough, eye) | (good & ~own)
-    held = np.zeros(good.shape, bool)
-    if others is None and floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
-        held = above if fills else joined_to_floor(there, above & ~beyond, inside, wide, eye[2])
-        inside |= held
+    held = above & (fills and others is None and floor.inliers.sum() < HIDDEN_FLOOR * good.sum())
+    inside |= held
     mask = above & inside & ~beyond
     if floor.inliers.any():
         surface, real = SeenSurface.of(there, good, wide, rough, eye), correlation > CORRELATED
