@@ -70,8 +70,14 @@ def spread_of(observed, floor, growth, least, spread):
             sigma = max(floor + growth * depth * depth, least)
             step = 0.0
             if depth > 0.0:
+                amid = 0 < row < height - 1 and 0 < column < width - 1
                 for way in range(4):
                     down, right = (1 if way != 0 else 0), (1 if way == 0 else way - 2)
+                    if amid:  # nearly everywhere both neighbours are returns
+                        after, before = observed[row + down, column + right], observed[row - down, column - right]
+                        if after > 0.0 and before > 0.0:
+                            step = max(step, abs(abs(after - depth) - abs(before - depth)))
+                            continue
                     first, near = _beside(observed, row, column, down, right)
                     second, far = _beside(observed, row, column, -down, -right)
                     if near > 0 and far > 0:  # what a slope does on both sides is no step
