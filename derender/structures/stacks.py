@@ -92,9 +92,10 @@ def with_stacks(
 
 
 def inexact(seen: Observation, state: State, solids: Iterable[int]) -> list[tuple[int, np.ndarray]]:
-    """Return those of some solids that are not EXACT, each with the mask (H, W) of what stands there where it shows."""
+    """Return those of some solids that are not EXACT, each with the mask (H, W) of what stands where it shows."""
     label, bad = badness(seen, state)
-    return [(k, seen.mask & (label == k)) for k in solids if EXACT < bad[k] < np.inf]
+    found = [(k, seen.mask & (label == k)) for k in solids if EXACT < bad[k] < np.inf]
+    return [(k, mask) for k, mask in found if mask.sum() >= LEFT_PIXELS]
 
 
 def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:

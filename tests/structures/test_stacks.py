@@ -13,7 +13,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import made_thing
 from derender.scene.pose import rotation_x
 from derender.scene.solids import BOX, CYLINDER, MESH
-from derender.structures.stacks import FLUSH, badness, parts_of_one, with_stacks
+from derender.structures.stacks import FLUSH, badness, inexact, parts_of_one, with_stacks
 
 # A can with a box on it: of what a solid hides of another nothing shows.
 STACK = (CYLINDER, 0.0, 0.0, (0.08, 0.08, 0.06), None), (BOX, 0.01, 0.0, (0.05, 0.045, 0.11), None)
@@ -55,6 +55,14 @@ def test_a_stack_that_the_search_tells_as_one_can_or_as_a_thing_is_two():
         assert found.rows[:, 0].tolist() == [CYLINDER, BOX]
         np.testing.assert_allclose(found.rows[:, 15], [0.06, 0.05], atol=0.006)  # their heights
         np.testing.assert_allclose(found.rows[0, 13], 0.08, atol=0.006)
+
+
+def test_a_solid_where_nothing_stands_is_no_stack():
+    """A wall of noise was told as a cylinder before the floor: none of its pixels showed what stands there."""
+    seen, _ = seen_by_a_sensor(*STACK)
+    off, state = as_can(seen, (0.07, 0.07, 0.11))
+    off = off._replace(mask=np.zeros_like(seen.mask))
+    assert badness(off, state)[1][0] > 2.0 and inexact(off, state, [0]) == []
 
 
 def test_what_shows_beyond_a_solid_is_no_part_of_the_stack_in_its_place():
