@@ -183,13 +183,11 @@ class Explanation(NamedTuple):
 
     def borne_out(self, seen: np.ndarray) -> dict[str, float]:
         """Return for each object which share of the valid pixels of `seen` (H, W) that are to show it do."""
-        valid, found = np.isfinite(seen) & (seen > 0), {}
+        valid = np.isfinite(seen) & (seen > 0)
         with np.errstate(invalid="ignore"):
             near = np.abs(self.depth - seen) <= tolerance_of(seen, flat_noise(seen))
-        for place, name in enumerate(self.names):
-            own = valid & (self.label == place)
-            found[name] = float(near[own].mean()) if own.any() else 1.0
-        return found
+        shown = {name: valid & (self.label == place) for place, name in enumerate(self.names)}
+        return {name: float(near[own].mean()) for name, own in shown.items() if own.any()}
 
 
 def explain(

@@ -106,7 +106,10 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         for name, (known, _) in posterior.meta.get("existence", {}).items()
         if known < SURE_EXISTENCE and name in posterior.best_part.graph.names
     ]  # fmt: skip
-    told += few_objects(posterior)
+    solids = [vertex.name for vertex in posterior.best_part.graph.vertices if vertex.body.size() is not None]
+    none = sum(1.0 - posterior.object_probability(name) for name in solids)
+    if none > max(MOST_NONE, FEW * len(solids)):
+        doubts.append(f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others")
     told += [Doubt(f"{name} touches nothing: what bears it was not found", about=(name,))
              for name in posterior.meta.get("hanging", ())]  # fmt: skip
     if posterior.meta.get("interrupted"):
@@ -119,6 +122,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     structures = posterior.meta.get("structure_chains", {})
     chains, draws, _ = posterior.best_part.values.shape
+    faces = posterior.meta.get("faces", 0.0)
     if draws < 4:
         return (*map(Doubt, doubts), *told)
     over, shares = structures.get("r_hat"), structures.get("shares", [0.0])
@@ -127,31 +131,17 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     elif max(shares) - min(shares) > SHARES_APART:
         spread = f"{min(shares):.2f} in one, {max(shares):.2f} in another"
         doubts.append(f"the chains disagree about the structure: the likeliest has {spread}")
-    slightly = [row for row in rows if doubtful(row) and left_open(posterior, row) < posterior.meta.get("faces", 0.0)]
-    if slightly:
-        row = max(slightly, key=lambda row: left_open(posterior, row))
-        known = f"which is told to {1000 * left_open(posterior, row):.1f} mm all the same"
-        told.append(Doubt(f"the chains disagree about {row['address']}, {known}", False))
-        rows = [row for row in rows if not any(row is other for other in slightly)]
-    bad = [row for row in rows if doubtful(row)]
+    bad = sorted((row for row in rows if doubtful(row)), key=lambda row: -left_open(posterior, row))
     if bad:
-        row = max(bad, key=lambda row: np.nan_to_num(row["r_hat"]))
+        row, most = bad[0], left_open(posterior, bad[0])
         r_hat = f"R-hat {row['r_hat']:.3f}, " if np.isfinite(row["r_hat"]) else ""
         words = f"the chains disagree about {row['address']}: {r_hat}{row['ess_bulk']:.0f} effective draws"
-        names = {row["address"].partition(".")[0] for row in bad}
-        own = names if names <= set(posterior.best_part.graph.names) else None  # else of the root or the likelihood
-        far = own is None or any(left_open(posterior, row) > OFF * size_of(posterior, row).max() for row in bad)
-        told.append(Doubt(f"{words}; --draws {enough_draws(rows)} would do", far, about=own))
+        words += "" if np.isinf(most) else f", which leave {1000 * most:.1f} mm open"
+        names = {row["address"].partition(".")[0] for row in bad if left_open(posterior, row) >= faces}
+        own = names if np.isfinite(most) else None  # else of the root or the likelihood
+        far = any(left_open(posterior, row) > OFF * size_of(posterior, row).max() for row in bad)
+        told.append(Doubt(f"{words}; --draws {enough_draws(bad)} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
-
-
-def few_objects(posterior: "Posterior") -> list[Doubt]:
-    """Return a doubt where the objects' probabilities say that more of the best scene's are none than may be."""
-    solids = [vertex.name for vertex in posterior.best_part.graph.vertices if vertex.body.size() is not None]
-    none = sum(1.0 - posterior.object_probability(name) for name in solids)
-    if none <= max(MOST_NONE, FEW * len(solids)):
-        return []
-    return [Doubt(f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others")]
 
 
 def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:

@@ -66,7 +66,9 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
     rows = parameter_rows([address], spread * values / values.std())
     assert doubtful(rows[0])
     (note,) = chain_doubts(seen_by_a_sensor(0.003), rows)
-    assert not note.serious and "told to 0.5 mm" in note.words  # of 1 mm, by as good as three independent draws
+    assert (
+        not note.serious and "leave 0.5 mm open" in note.words and not note.about
+    )  # of 1 mm, by as good as three independent draws
     assert verdict((note,), rows) == [f"worth knowing: {note.words}"]
     for faces in (0.0, 0.0004):  # of a drawn image, and of one in which faces are off by less than the chains
         (doubt,) = chain_doubts(seen_by_a_sensor(faces), rows)
@@ -77,10 +79,10 @@ def test_chains_that_disagree_about_an_object_say_nothing_of_others():
     values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
     for address, about in (("box_1.width", {"box_1"}), ("likelihood.sigma", None)):
         (doubt,) = chain_doubts(seen_by_a_sensor(0.0), parameter_rows([address], values))
-        assert doubt.serious and doubt.about == about and "effective draws; --draws" in doubt.words
+        assert doubt.serious and doubt.about == about and " would do" in doubt.words
     row = {**parameter_rows(["box_1.width"], values)[0], "r_hat": np.nan, "ess_bulk": 13.0}
     (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [row])
-    assert doubt.words.startswith("the chains disagree about box_1.width: 13 effective draws; --draws")
+    assert doubt.words.startswith("the chains disagree about box_1.width: 13 effective draws, which leave")
     doubtful_thing = seen_by_a_sensor(0.0)
     doubtful_thing.best_part.values = np.zeros((1, 1, 0))
     for known, told in ((0.55, [True]), (0.7, [False]), (0.8, [])):
