@@ -13,7 +13,7 @@ and only the scales of their steps adapt in their warm-up.
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -223,8 +223,6 @@ GAIN = 2.0  # change of a log scale for an acceptance rate wrong by 1, at each s
 LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
 BISECTIONS = 60  # halve [present, 1] to below the spacing of floating point numbers
 
-Advance = Callable[[np.ndarray, float], np.ndarray]
-
 
 class Population(NamedTuple):
     """Particles of equal weight from the posterior."""
@@ -294,32 +292,6 @@ def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None 
     return np.minimum(np.searchsorted(cumulative, places, side="right"), len(weights) - 1)
 
 
-def anneal(
-    rng: np.random.Generator, gain: np.ndarray, advance: Advance, count: int | None = None, share: float = 0.5
-) -> float:
-    """Raise the exponent on a population's gain from 0 to 1; return the log of the estimated mean weight.
-
-    gain : (n,) log increments of the particles, -inf allowed.
-    advance : called at each stage with the indices of the particles that are kept, copies among them, and the exponent;
-        moves them and returns their gains in full.
-    count : of particles after the first stage; None: n.
-    share : of the particles, the effective number that a stage leaves: the smaller, the fewer stages.
-    """
-    count = len(gain) if count is None else count
-    log_mean, present = 0.0, 0.0
-    while present < 1.0:
-        following = next_temperature(gain, present, share * count / len(gain))
-        with np.errstate(invalid="ignore"):  # 0 times -inf, where nothing is
-            logs = np.where(gain > -np.inf, (following - present) * gain, -np.inf)
-        weights = np.exp(logs - np.max(logs))
-        log_mean += float(np.max(logs) + np.log(np.mean(weights)))
-        chosen = systematic(rng, weights)
-        if len(gain) > count:  # from many draws to the population
-            chosen = chosen[rng.permutation(len(gain))[:count]]
-        gain, present = advance(chosen, following), following
-    return log_mean
-
-
 def tempered(
     rng: np.random.Generator,
     space: Space,
@@ -339,22 +311,26 @@ def tempered(
     share : of the particles, the weights' effective number that a stage leaves: the smaller, the fewer stages.
     """
     values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
-    tuning = first_tuning(space, values[0])
-
-    def advance(chosen: np.ndarray, exponent: float) -> np.ndarray:
-        nonlocal values, densities, tuning
-        values, densities = values[chosen], densities[chosen]
-        tuning = tuning._replace(temperature=exponent)
+    tuning, present = first_tuning(space, values[0]), 0.0
+    while present < 1.0:
+        gain = densities[:, 1]
+        following = next_temperature(gain, present, share * particles / len(gain))
+        with np.errstate(invalid="ignore"):  # 0 times -inf, where nothing is
+            logs = np.where(gain > -np.inf, (following - present) * gain, -np.inf)
+        weights = np.exp(logs - np.max(logs))
+        log_evidence += float(np.max(logs) + np.log(np.mean(weights)))
+        chosen = systematic(rng, weights)
+        if len(gain) > particles:  # from many draws to the population
+            chosen = chosen[rng.permutation(len(gain))[:particles]]
+        values, densities, present = values[chosen], densities[chosen], following
+        tuning = tuning._replace(temperature=present)
         counts = np.zeros((len(parts), 2), np.int64)
         for n in range(particles):
             stretch = backend.sweep(rng, values[n], tuning, 1, steps)
             values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
             counts += stretch.counts
         tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, GAIN))
-        return densities[:, 1]
-
-    log_ratio = anneal(rng, densities[:, 1], advance, particles, share)
-    return Population(values, densities, log_evidence + log_ratio)
+    return Population(values, densities, log_evidence)
 
 
 LOCAL = ("drift", "slide")  # kernels that move a starting population
