@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from derender.scene.contacts import contacts
-from derender.scene.distributions import Distribution
+from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion, rotation_angle
 from derender.scene.priors.objects import QUATERNION, ROTATION, draw_vertex
@@ -17,6 +16,7 @@ from derender.structures.jumps.base import Vocabulary
 
 HAAR = math.log(8.0 * math.pi**2)  # of the mass of dw over all rotation vectors w, near each rotation
 MOST_KNOWN = 10_000  # hypotheses on a parent in one place whose components are remembered
+FAR = 20.0  # standard deviations from which on a normal is taken for nothing
 ON_PRIOR = 0.2  # share of the births that come from the prior all the same: nothing it allows is out of reach
 
 
@@ -153,7 +153,7 @@ class HypothesisProposal:
             elif name == QUATERNION:
                 values[name] = tuple(quaternion(rotation_near(rng, from_quaternion(centre), spread)))
             else:
-                values[name] = _draw(rng, centre, *spread)
+                values[name] = spread.draw(rng)
         return vertex_of(words, graph, chosen, values)
 
     def log_density(self, words: Vocabulary, graph: SceneGraph, vertex: Vertex) -> float:
@@ -197,7 +197,7 @@ def _component(
     for name, value in words.shapes[hypothesis.kind]._table:
         centres[f"shape.{name}"] = value if isinstance(value, float) else hypothesis.parameters[name]
         if not isinstance(value, float):
-            spreads[f"shape.{name}"] = (hypothesis.length, value.support, None)
+            spreads[f"shape.{name}"] = About.of(centres[f"shape.{name}"], hypothesis.length, value.support)
     parameters = {p.name: p for p in kind.parameters(graph.body(parent).shape, body.shape, *choice[1:])}
     for name, value in table.items():
         if name == QUATERNION:
@@ -216,7 +216,7 @@ def _component(
                 period = None
             width = hypothesis.length if parameters[name].unit == "m" else hypothesis.angle
             width = hypothesis.length / (2.0 * reach) if parameters[name].unit == "" else width
-            spreads[name] = (width, (low, high), period)
+            spreads[name] = About.of(centres[name], width, (low, high), period)
     weight = hypothesis.weight * math.exp(-misfit / (5.0 * hypothesis.length))
     return [Component(weight, hypothesis.kind, parent, choice, centres, spreads)]
 
@@ -233,37 +233,33 @@ def vertex_of(words: Vocabulary, graph: SceneGraph, component: Component, values
     return Vertex(name, entry.type, parameters, component.parent, contact, dict(entry.options))
 
 
-def _cut(centre: float, width: float, support: tuple[float, float], period: float | None) -> tuple[float, float]:
-    """Return the ends of a normal, in standard deviations from its centre."""
-    if period is not None:
-        return -0.5 * period / width, 0.5 * period / width
-    return (support[0] - centre) / width, (support[1] - centre) / width
+class About(NamedTuple):
+    """Where a number is drawn that a hypothesis suggests."""
 
+    law: Distribution  # a normal about it, cut to the support, on a circle to half a turn on either side
+    support: tuple[float, float]
+    period: float | None  # of an angle, or None
 
-def _draw(
-    rng: np.random.Generator, centre: float, width: float, support: tuple[float, float], period: float | None
-) -> float:
-    low, high = _cut(centre, width, support, period)
-    bottom, top = ndtr(low), ndtr(high)
-    if not top - bottom > 1e-12:  # the centre is far outside: a uniform draw where there are ends, see _log_one
-        return support[0] + (support[1] - support[0]) * rng.random()
-    x = centre + width * float(ndtri(bottom + (top - bottom) * rng.random()))
-    if period is not None:
-        return support[0] + (x - support[0]) % period
-    return min(max(x, support[0]), support[1])
+    @classmethod
+    def of(cls, centre: float, width: float, support: tuple[float, float], period: float | None = None) -> "About":
+        """Return it for a centre and a standard deviation; even over the support where the centre is FAR outside."""
+        low, high = support if period is None else (centre - 0.5 * period, centre + 0.5 * period)
+        low, high = max(low, centre - FAR * width), min(high, centre + FAR * width)
+        near = distributions["truncated-normal"](centre, width, low, high) if low < high else None
+        return cls(distributions["uniform"](*support) if near is None else near, support, period)
 
+    def draw(self, rng: np.random.Generator) -> float:
+        """Return a number drawn."""
+        x, low = self.law.sample(rng), self.support[0]
+        return float(x if self.period is None else low + (x - low) % self.period)
 
-def _log_one(x: float, centre: float, width: float, support: tuple[float, float], period: float | None) -> float:
-    low, high = _cut(centre, width, support, period)
-    mass = float(ndtr(high) - ndtr(low))
-    if not support[0] <= x <= support[1]:
-        return -math.inf
-    if not mass > 1e-12:
-        return -math.log(support[1] - support[0])
-    offset = x - centre
-    if period is not None:
-        offset -= period * round(offset / period)
-    return -0.5 * (offset / width) ** 2 - math.log(width * mass * math.sqrt(2.0 * math.pi))
+    def log_density(self, x: float) -> float:
+        """Return the log density of a number."""
+        if not self.support[0] <= x <= self.support[1]:
+            return -math.inf
+        if self.period is not None:
+            x -= self.period * round((x - self.law.parameters[0]) / self.period)
+        return self.law.log_density(x)
 
 
 def _log_normal(component: Component, values: dict[str, float]) -> float:
@@ -274,7 +270,7 @@ def _log_normal(component: Component, values: dict[str, float]) -> float:
             turned = from_quaternion([values[part] for part in ROTATION])
             total += rotation_density(turned, from_quaternion(component.centres[name]), spread)
         else:
-            total += _log_one(values[name], component.centres[name], *spread)
+            total += spread.log_density(values[name])
     return total
 
 

@@ -36,7 +36,7 @@ from derender.scene.shapes import shapes
 from derender.scene.shapes.kinds import ROTATIONS
 from derender.structures.given import part_at
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
-from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
+from derender.structures.jumps.proposal import About, Hypothesis, HypothesisProposal, vertex_of
 
 if TYPE_CHECKING:
     from derender.detection.search.observation import Observation
@@ -152,9 +152,9 @@ def _placed(words: Vocabulary, graph: SceneGraph, component: "Component") -> Sce
 
 def _inside(x: float, spread: Any) -> float:
     """Return a number moved inside its prior's support."""
-    if not isinstance(spread, tuple):
+    if not isinstance(spread, About):
         return x
-    low, high = spread[1]
+    low, high = spread.support
     margin = 1e-6 * (high - low) if math.isfinite(high - low) else 0.0
     return min(max(x, low + margin), high - margin)
 
