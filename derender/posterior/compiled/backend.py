@@ -6,7 +6,7 @@ Python runs it for models of which something has no compiled form, and takes the
 import math
 from collections.abc import Callable
 from copy import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +31,6 @@ from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kerne
 from derender.posterior.target import SceneTarget
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
-
-
-class _Engine(NamedTuple):
-    """What stands in place of the engine: a target to ask."""
-
-    target: Target
-    parameters: None = None  # None, there are no arrays to keep
 
 
 class _Programmed:
@@ -67,14 +60,17 @@ class _Programmed:
 class InterpretedBackend(_Programmed):
     """Runs a mixture on any target, a few thousand steps a second: the compiled sweep's own source, not compiled.
 
-    What the compiled sweep asks of the engine, densities, is asked of the target here. Where objects are in the world
-    it does not know: what stands on an object rides along with it, and none is put down anew.
+    Where objects are in the world it does not know: what stands on an object rides along with it, and none is put down
+    anew.
 
+    engine : what is asked for densities by `evaluate`; None: the target, by this backend itself.
     replaced : functions by name, in place of those that the sweep and the proposals call by that name.
     """
 
-    def __init__(self, target: Target, parts: list[Part], cycle: bool = False, **replaced: Callable) -> None:
-        self.cycle, self.replaced, self._called = cycle, replaced, list[Callable]()
+    def __init__(
+        self, target: Target, parts: list[Part], cycle: bool = False, engine: Any = None, **replaced: Callable
+    ) -> None:
+        self.cycle, self.replaced, self._called, self._engine = cycle, replaced, list[Callable](), engine or self
         space, size = target.space, len(target.space.addresses)
         taken = [part._replace(weight=0.0) if kernels[part.type].form == PLACING else part for part in parts]
         super().__init__(target, taken, frozenset(), [self._calls_of(part) for part in parts])
@@ -110,7 +106,7 @@ class InterpretedBackend(_Programmed):
         self._chain.values[:] = state
         self._chain.flags[STEPS] = taken
         kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
-        self._sweep(rng, self._model, self.program(tuning), self._chain, _Engine(self.target), 0, draws, thin,
+        self._sweep(rng, self._model, self.program(tuning), self._chain, self._engine, 0, draws, thin,
                     tuning.temperature, kept, counts)  # fmt: skip
         return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
 
@@ -132,37 +128,15 @@ class InterpretedBackend(_Programmed):
         return Calls(self._number_of(kind.proposal))
 
 
-def _evaluate(model: Model, chain: Chain, engine: _Engine) -> None:
+def _evaluate(model: Model, chain: Chain, engine: Any) -> None:
     """Write log prior and log likelihood of the proposed values beside them."""
-    proposed, target = chain.values[NEXT], engine.target
-    values = proposed[:-2].copy()
-    proposed[PRIOR], proposed[DENSITY] = target.log_prior(values), -math.inf
-    if proposed[PRIOR] > -math.inf:
-        proposed[DENSITY] = target.log_likelihood(values)
+    chain.values[NEXT, PRIOR:] = engine.evaluate(chain.values[NEXT, :PRIOR].copy())
 
 
-def _settle(model: Model, chain: Chain, engine: _Engine, accepted: bool) -> None:
+def _settle(model: Model, chain: Chain, engine: Any, accepted: bool) -> None:
     """Make the proposed values the current ones, or forget them."""
     source = NEXT if accepted else NOW
     chain.values[1 - source] = chain.values[source]
-
-
-class LoadedTarget:
-    """A SceneTarget whose densities are those of a backend's engine, a tenth of the cost of the target's own."""
-
-    def __init__(self, backend: "CompiledBackend") -> None:
-        self._backend, self._target = backend, backend.target
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._target, name)
-
-    def log_prior(self, values: np.ndarray) -> float:
-        """Return the log prior of (P,) values."""
-        return self._backend.evaluate(values)[0]
-
-    def log_likelihood(self, values: np.ndarray) -> float:
-        """Return the log likelihood of values inside the prior's support."""
-        return self._backend.evaluate(values)[1]
 
 
 class CompiledBackend(_Programmed):
@@ -190,9 +164,10 @@ class CompiledBackend(_Programmed):
         chain, evaluator = self._blank
         self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         self._loaded = np.empty(0)
-        target = LoadedTarget(self)
         only: Callable = lambda *_: 0  # noqa: E731 - which kernel takes the step has been drawn already
-        self._interpreted = {k: InterpretedBackend(target, [self.parts[k]], pick=only) for k in self._elsewhere}
+        self._interpreted = {
+            k: InterpretedBackend(self.target, [self.parts[k]], engine=self, pick=only) for k in self._elsewhere
+        }
 
     def twin(self) -> "CompiledBackend":
         """Return a backend for another thread or stretch; they share what follows from the model and from tunings."""
