@@ -244,24 +244,7 @@ def penetration_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     return max(0.0, -separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b))
 
 
-@njit(cache=True, nogil=True)
-def penetrations(kind, pose, size):
-    """Return the (N, N) symmetric depths of solids given as arrays: kind (N,), pose (N, 4, 4), size (N, 3)."""
-    count = len(kind)
-    depths = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i):
-            depth = penetration_of(int(kind[i]), pose[i], size[i], int(kind[j]), pose[j], size[j])
-            depths[i, j] = depths[j, i] = depth
-    return depths
-
-
 def separation(solids: Solids, first: int, second: int) -> float:
     """Return the separation in metres of two solids by index: their distance, or minus their depth."""
     kind, pose, size = solids.kind, solids.pose, solids.size
     return separation_of(int(kind[first]), pose[first], size[first], int(kind[second]), pose[second], size[second])
-
-
-def overlaps(solids: Solids) -> np.ndarray:
-    """Return the (N, N) float64 depths in metres by which the solids interpenetrate; 0 on the diagonal."""
-    return penetrations(solids.kind, np.ascontiguousarray(solids.pose), np.ascontiguousarray(solids.size))

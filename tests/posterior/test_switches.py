@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from geometry import overlaps
 
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import ROW
@@ -12,7 +13,6 @@ from derender.document import document_from, read_prior_document
 from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth
 from derender.scene.codec.yaml_tree import parse_yaml
-from derender.scene.separation import overlaps
 from derender.structures.draws.chart import log_prior, make_chart, place_rows
 from derender.structures.draws.numbers import state_of
 from derender.structures.infer import infer_structure, settings_of

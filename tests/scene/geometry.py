@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 
 from derender.scene.contacts import contacts
+from derender.scene.separation import separation
 from derender.scene.shapes import Body, shapes
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 
@@ -138,3 +139,9 @@ def contact_faults(pose, parent, child, parent_face, flush_points=None):
         if outline_gap(own, touching, normal) > FLUSH:
             faults.append("misses")
     return faults
+
+
+def overlaps(solids):
+    """Return the (N, N) depths in metres by which solids interpenetrate; 0 on the diagonal."""
+    count = range(len(solids.kind))
+    return np.array([[max(0.0, -separation(solids, i, j)) if i != j else 0.0 for j in count] for i in count])

@@ -8,7 +8,7 @@ from geometry import random_body
 
 from derender.scene import separation as overlap
 from derender.scene.pose import random_rotation, rotation_z, translation
-from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
+from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 
 NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder"}
 
@@ -120,18 +120,6 @@ def test_plane_has_two_faces_and_no_inside(kind):
         assert found == pytest.approx(abs(solid[1][2, 3]) - reach, abs=1e-12)
         assert overlap.separation_of(*solid, PLANE, np.eye(4), np.zeros(3)) == found
     assert overlap.separation_of(PLANE, np.eye(4), np.zeros(3), PLANE, np.eye(4), np.zeros(3)) == math.inf
-
-
-def test_overlaps_of_a_scene():
-    rng = np.random.default_rng(5)
-    solids = [random_solid(rng, kind) for kind in (BOX, SPHERE, CYLINDER, BOX)]
-    kind = np.array([MESH, *(s[0] for s in solids[1:])], dtype=np.int32)
-    scene = Solids(kind, np.stack([s[1] for s in solids]), np.stack([s[2] for s in solids]), np.full(4, -1, np.int32))
-    depths = overlap.overlaps(scene)
-    assert depths.shape == (4, 4) and np.array_equal(depths, depths.T) and not depths.diagonal().any()
-    for i in range(4):
-        for j in range(i):
-            assert depths[i, j] == max(0.0, -overlap.separation(scene, i, j))
 
 
 def test_face_axes_alone_are_not_enough():

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry import contact_faults
+from geometry import contact_faults, overlaps
 
 from derender import data_path
 from derender.document import read_document
@@ -13,7 +13,6 @@ from derender.errors import DerenderError
 from derender.scene.contacts import contacts
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, random_rotation, translation
-from derender.scene.separation import overlaps
 from derender.scene.solids import BOX, PLANE
 from derender.structures.bridges import support_residual
 

@@ -31,8 +31,6 @@ from derender.posterior.compiled.prior import (
     Kernels,
     Model,
     density_and_draw,
-    sum_of_terms,
-    table_of,
 )
 from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, Part, Tuning
@@ -41,6 +39,7 @@ from derender.posterior.space import Space
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.graph import SceneGraph, Vertex
+from derender.scene.priors.terms import sum_of_terms, table_of
 from derender.scene.priors.tree import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
 from derender.scene.shapes.kinds import box_feature
@@ -64,7 +63,7 @@ def model_of(target: "SceneTarget") -> Model:
     """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form."""
     graph, space = target.template, target.space
     try:
-        terms = table_of(target.constraints, graph)
+        terms = table_of(target.constraints, graph, graph.names)
     except NotImplementedError as error:
         raise NotCompiled(f"the constraint {error}") from None
     for unknown in space.unknowns:
@@ -75,8 +74,7 @@ def model_of(target: "SceneTarget") -> Model:
     names = {name: n for n, name in enumerate(graph.names)}
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
-    numbers, pose = np.empty((2, 1, SHAPES + 3)), np.empty((2, 1, 4, 4))  # as in a Chain
-    terms_at = address_of(sum_of_terms, terms, vertices, numbers, pose) if len(terms) else 0
+    terms_at = address_of(sum_of_terms, terms, vertices[0], np.eye(4)[None], np.ones((1, 3))) if len(terms) else 0
     return Model(
         unknowns=unknowns,
         laws=laws,

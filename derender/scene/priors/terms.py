@@ -5,16 +5,18 @@ A prior with terms samples by rejection, exactly; its log density is then known 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from derender.compilation.cache import njit
 from derender.errors import DerenderError, at_fault
 from derender.registry import Registry
 from derender.scene.codec.yaml_tree import Node, Section
 from derender.scene.graph import Constraint, SceneGraph
+from derender.scene.separation import penetration_of, rest_residual, separation_of
 from derender.scene.shapes import shapes
 
 MOST_TRIES = 10_000
@@ -37,6 +39,64 @@ class Term(Protocol):
     def log_density(self, graph: SceneGraph) -> float:
         """Return the term's log density, at most 0; -inf where the scene is ruled out."""
         ...
+
+
+OVERLAP, APART, RESTS = range(3)  # codes of what a row is of
+TERM, ONE, OTHER, LENGTH, SOFTNESS, BEARER, AXIS = range(7)  # columns of a row; an axis is the last three
+COLUMNS = AXIS + 3
+
+
+class OfPairs:
+    """What terms share that are sums over pairs of solids, which compiled code knows too."""
+
+    def rows(self, graph: SceneGraph, names: Sequence[str]) -> list[tuple[float, ...]]:
+        """Return a row of COLUMNS for each pair, the objects told by their places among `names`."""
+        raise NotImplementedError
+
+    def log_density(self, graph: SceneGraph) -> float:
+        solids, table = graph.solids(), np.array(self.rows(graph, graph.solid_names), float).reshape(-1, COLUMNS)
+        kinds, poses, sizes = solids.kind.astype(np.int64), solids.pose.astype(float), solids.size.astype(float)
+        return float(sum_of_terms(table, kinds, poses, sizes))
+
+
+def table_of(terms: tuple[Term, ...], graph: SceneGraph, names: Sequence[str]) -> np.ndarray:
+    """Return (T, COLUMNS) float64, the rows of all terms of pairs. Raises NotImplementedError where one is none."""
+    rows: list[tuple[float, ...]] = []
+    for term in terms:
+        if isinstance(term, OfPairs):
+            rows += term.rows(graph, names)
+        elif not (isinstance(term, NoFloating | AtMost) and term.log_density(graph) == 0.0):  # of structures alone
+            raise NotImplementedError(term.name)
+    return np.array(rows, float).reshape(-1, COLUMNS)
+
+
+@njit(cache=True, nogil=True)
+def sum_of_terms(terms, kinds, poses, sizes):
+    """Return the log density of terms (T, COLUMNS) where objects have kinds (N,), poses (N, 4, 4) and extents (N, 3).
+
+    A hard term has the softness 0.
+    """
+    total = 0.0
+    for t in range(terms.shape[0]):
+        row = terms[t]
+        a, b = int(row[ONE]), int(row[OTHER])
+        if row[TERM] == OVERLAP:
+            excess = penetration_of(kinds[a], poses[a], sizes[a], kinds[b], poses[b], sizes[b]) - row[LENGTH]
+            if excess > 0.0:
+                if row[SOFTNESS] == 0.0:
+                    return -math.inf
+                total -= 0.5 * (excess / row[SOFTNESS]) ** 2
+        elif row[TERM] == APART:
+            if separation_of(kinds[a], poses[a], sizes[a], kinds[b], poses[b], sizes[b]) <= row[LENGTH]:
+                return -math.inf
+        else:
+            p = poses[int(row[BEARER])]
+            x = p[0, 0] * row[AXIS] + p[0, 1] * row[AXIS + 1] + p[0, 2] * row[AXIS + 2]
+            y = p[1, 0] * row[AXIS] + p[1, 1] * row[AXIS + 1] + p[1, 2] * row[AXIS + 2]
+            z = p[2, 0] * row[AXIS] + p[2, 1] * row[AXIS + 1] + p[2, 2] * row[AXIS + 2]
+            away = rest_residual(kinds[a], poses[a], sizes[a], kinds[b], poses[b], sizes[b], x, y, z)
+            total -= 0.5 * (away / row[SOFTNESS]) ** 2
+    return total
 
 
 def total_log_density(terms: tuple[Term, ...], graph: SceneGraph) -> float:
@@ -71,7 +131,7 @@ def sample_until_allowed(rng: np.random.Generator, sample: Callable, terms: tupl
 
 @term_types.register("no-overlap")
 @dataclass(eq=False)
-class NoOverlap:
+class NoOverlap(OfPairs):
     """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`.
 
     It does not matter whether an edge joins them.
@@ -84,14 +144,10 @@ class NoOverlap:
     depth: float = 0.0005
     scale: float | None = None
 
-    def log_density(self, graph: SceneGraph) -> float:
-        from derender.scene.separation import overlaps
-
-        excess = overlaps(graph.solids()) - self.depth
-        if self.scale is None:
-            return -math.inf if (excess > 0.0).any() else 0.0
-        squares = float(np.sum(np.square(np.maximum(excess, 0.0))))  # every pair stands there twice
-        return -0.25 * squares / self.scale**2
+    def rows(self, graph: SceneGraph, names: Sequence[str]) -> list[tuple[float, ...]]:
+        solids = [names.index(name) for name in graph.solid_names]
+        rule = (self.depth, self.scale or 0.0, 0, 0, 0, 0)
+        return [(OVERLAP, a, b, *rule) for a in solids for b in solids if b < a]
 
     @classmethod
     def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
@@ -103,7 +159,7 @@ class NoOverlap:
 
 @term_types.register("does-not-touch")
 @dataclass(eq=False)
-class DoesNotTouch:
+class DoesNotTouch(OfPairs):
     """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
 
     name: str = field(init=False)
@@ -114,15 +170,10 @@ class DoesNotTouch:
         """Metres that two objects which rest on each other never are apart, and those that keep the margin are."""
         return max(self.relation.margin, ROUNDING)
 
-    def log_density(self, graph: SceneGraph) -> float:
-        from derender.scene.separation import separation
-
-        names = graph.solid_names
-        if self.relation.first not in names or self.relation.second not in names:
-            return 0.0
-        first, second = names.index(self.relation.first), names.index(self.relation.second)
-        apart = separation(graph.solids(), first, second)
-        return 0.0 if apart > self.least else -math.inf
+    def rows(self, graph: SceneGraph, names: Sequence[str]) -> list[tuple[float, ...]]:
+        pair = self.relation.first, self.relation.second
+        there = set(pair) <= set(graph.solid_names)
+        return [(APART, *map(names.index, pair), self.least, 0, 0, 0, 0, 0)] if there else []
 
     @classmethod
     def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
@@ -132,7 +183,7 @@ class DoesNotTouch:
 
 @term_types.register("rests-on")
 @dataclass(eq=False)
-class RestsOn:
+class RestsOn(OfPairs):
     """An object rests on a second one too: `rests-on: [deck, pier]`, or `{objects: [deck, pier], slack: 2 mm}`.
 
     `supports: [pier]` in an object's entry says the same, with a slack of 1 mm. The log density is
@@ -154,16 +205,10 @@ class RestsOn:
             raise DerenderError(what, remedy="give it a parent and a contact such as face-to-face")
         return vertex.parent, graph.body(vertex.parent).face(face).frame[:3, 2]
 
-    def log_density(self, graph: SceneGraph) -> float:
-        from derender.scene.separation import rest_residual
-
+    def rows(self, graph: SceneGraph, names: Sequence[str]) -> list[tuple[float, ...]]:
         parent, axis = self.bearing(graph)
-        solids, names = graph.solids(), graph.solid_names
-        a, b = names.index(self.child), names.index(self.support)
-        up = graph.poses()[parent][:3, :3] @ axis
-        away = rest_residual(int(solids.kind[a]), solids.pose[a], solids.size[a],
-                             int(solids.kind[b]), solids.pose[b], solids.size[b], *up)  # fmt: skip
-        return -0.5 * (away / self.slack) ** 2
+        pair = map(names.index, (self.child, self.support))
+        return [(RESTS, *pair, 0.0, self.slack, names.index(parent), *axis)]
 
     @classmethod
     def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
