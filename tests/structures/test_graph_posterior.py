@@ -37,7 +37,7 @@ from derender.structures.draws.chart import (
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample, walker_at
 from derender.structures.draws.numbers import numbers_of_draws, scene_log_prior
-from derender.structures.draws.refined import Refined, chains_of, pixels_of, structure_posterior, with_lost_back
+from derender.structures.draws.refined import Refined, chains_of, structure_posterior
 from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, image_likelihood, model_depth, noise_of
 from derender.structures.draws.steps import (
     FIRST,
@@ -567,26 +567,3 @@ def test_the_best_scene_of_a_posterior_is_the_best_of_climb_and_draws():
     assert beside.log_density.min() > -1e9
     above = structure_posterior(np.random.default_rng(0), refined._replace(log_likelihood=1e9), ["cube_1"], 1.0, draws)
     assert above.log_density[0, 0] > 1e8 and np.array_equal(above.log_density[:, 1:], beside.log_density[:, 1:])
-
-
-def test_a_solid_that_a_walk_lost_behind_another_is_put_back_and_one_that_nothing_shows_is_not():
-    rng = np.random.default_rng(3)
-    state, view = cube().add(row(SPHERE, 0.0, -0.13, 0.05, 0.0, (0.03,) * 3), UPRIGHT, True, FLOOR, 0.0), camera(96, 72)
-    numbers = {"sigma": 0.002, "blur": 0.0}
-    sensor, chart, start = observe(rng, state, numbers, view)
-
-    def at(values, seen):
-        prior, likelihood = load(engine_of(chart, seen), chart, values)
-        rows = rows_at(chart, values)
-        here = state.copy()
-        here.rows = rows
-        return Refined(here, chart, values.copy(), seen, float(prior), float(likelihood))
-
-    hidden = start.copy()
-    hidden[chart.slots[1, charts.X]], hidden[chart.slots[1, charts.Y]] = 0.0, 0.1  # behind the cube
-    lost = at(hidden, sensor)
-    assert pixels_of(lost)[1] == 0
-    back = with_lost_back(rng, at(start, sensor), lost)
-    assert pixels_of(back)[1] > 0 and back.log_likelihood > lost.log_likelihood + 50.0
-    bare = sensor._replace(observed=model_depth(*make_chart(cube(), floor_pose(), Rules(0.0015)), view))
-    assert pixels_of(with_lost_back(rng, at(start, bare), at(hidden, bare)))[1] == 0

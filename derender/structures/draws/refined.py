@@ -39,7 +39,6 @@ from derender.structures.draws.steps import own_members, touched_by
 
 ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
-HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
 # Pixels of the steps by which a blur is changed with the solids, and steps of the climb after each, for each solid.
 LONGEST_BLUR_STEP, LEAST_BLUR_STEP, FOLLOWED = 0.05, 0.01, 50
 STEPS, MOST_STEPS = 2, 125  # between two draws: for each coordinate, and at most
@@ -177,30 +176,15 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
         for view in views
     )
     sensor = first._replace(others=tuple(others))
-    start = refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
     if not len(state) and all(view.shared for view in views):
-        return start  # each pixel says so little of where a floor is that the few just over it would draw it to them
-    refined = settled(rng, best_climb(rng, state, chart, values, sensor, tries), tries)
-    refined = with_lost_back(rng, start, refined)
+        # each pixel says so little of where a floor is that the few just over it would draw it to them
+        return refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    refined = with_sensor_refitted(rng, best_climb(rng, state, chart, values, sensor, tries))
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
         return refined
     chart, values = make_chart(kept, floor_pose_of(refined), rules)
-    return settled(rng, best_climb(rng, kept, chart, values, refined.sensor, tries), tries)
-
-
-def with_lost_back(rng: np.random.Generator, start: Refined, refined: Refined) -> Refined:
-    """Return the Refined with the solids that its walk lost from sight where they were at first, if that is likelier.
-
-    Of a sensor whose pixels tell little each, a hot walk leads small solids behind others, from where none leads back.
-    """
-    lost = np.flatnonzero((pixels_of(start) > 0) & (pixels_of(refined) == 0))
-    if len(lost) == 0:
-        return refined
-    members, values = members_of(refined.chart, lost), refined.values.copy()
-    values[members] = start.values[members]
-    back = climb(rng, refined.state, refined.chart, values, refined.sensor, ANNEALING, None, ())
-    return max(refined, with_sensor_refitted(rng, back), key=height)
+    return with_sensor_refitted(rng, best_climb(rng, kept, chart, values, refined.sensor, tries))
 
 
 def without_unseen(state: State, refined: Refined) -> State:
@@ -224,35 +208,6 @@ def pixels_of(refined: Refined) -> np.ndarray:
         shown = label[(view.observed > 0.0) & (label > 0)]
         pixels += np.bincount(shown, minlength=count + 1)[1:]
     return pixels
-
-
-def settled(rng: np.random.Generator, refined: Refined, tries: Any = THREADS) -> Refined:
-    """Return the Refined under the sensor model that it suggests, annealed again from hotter where that has outliers.
-
-    Not where the noise grows with depth: such sensors have outliers at edges of their own.
-    """
-    best = with_sensor_refitted(rng, refined)
-    outliers = (view.likelihood.name == "robust" and view.values["sigma_growth"] == 0.0 for view in best.sensor.views)
-    if tries == 1 or not any(outliers):
-        return best
-
-    def hot(stream):
-        """Return it after a walk from hotter: perhaps some edge is caught a pixel away from where it belongs."""
-        found = climb(stream, best.state, best.chart, best.values.copy(), best.sensor, LONGER, None, HOTTER)
-        return with_sensor_refitted(stream, found)
-
-    tries = in_threads(rng, [hot] * THREADS)
-    return max([best, *tries], key=lambda each: each.log_likelihood - robust_offset(each.sensor))
-
-
-def robust_offset(sensor: Sensor) -> float:
-    """Return what a robust log likelihood has more than a gaussian one of the same images: whether pixels return."""
-    total = 0.0
-    for view in sensor.views:
-        if view.likelihood.name == "robust":
-            seen, missing = int(np.isfinite(view.observed).sum()), view.values["missing"]
-            total += seen * float(np.log1p(-missing)) + (view.observed.size - seen) * float(np.log(missing))
-    return total
 
 
 def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
