@@ -13,7 +13,6 @@ Paths are plain strings, not click.Path: a file that is missing is the user's in
 import contextlib
 import functools
 import math
-import os
 import re
 import shlex
 import sys
@@ -24,6 +23,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from derender.compilation.threads import processors
 from derender.errors import Idle, idle_lines, printable
 
 PATIENCE = 2.0  # seconds that a person waits without asking what is going on
@@ -132,11 +132,6 @@ def tells_idle(*rules: Idle) -> Callable[..., Any]:
         return wrapper
 
     return decorate
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Seed(click.IntRange):

@@ -23,8 +23,12 @@ def threads() -> int:
     given = os.environ.get(THREADS_VARIABLE, "")
     if given.isdecimal():
         return max(1, int(given))
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(THREADS, processors)
+    return min(THREADS, processors())
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @functools.cache

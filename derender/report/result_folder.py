@@ -86,7 +86,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     report = judged(posterior, seen, likelihood, page)
     posterior = report.posterior
     graph, best = posterior.best_graph(), posterior.best_part
-    likelihood = likelihood_at_best(likelihood, best)
+    likelihood = likelihood.with_values(best.likelihood_at(*best.best_place))
     text = document_text(graph, seen.camera, likelihood, made, home or folder)
     report = report._replace(files={"scene.yaml": ("text/yaml", text.encode()), **report.files})
     rows = {
@@ -131,20 +131,10 @@ def judged(posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, 
     """Return the Report of a posterior, made for a page or not."""
     from derender.report.contents import likelihood_numbers, report_of
 
-    numbers = likelihood_numbers(likelihood_at_best(likelihood, posterior.best_part))
+    best = posterior.best_part
+    numbers = likelihood_numbers(likelihood.with_values(best.likelihood_at(*best.best_place)))
     name = Path(str(posterior.meta.get("image", "image"))).name
     return report_of(posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, shown=page)
-
-
-def likelihood_at_best(likelihood: LikelihoodPrior, part: StructurePosterior) -> LikelihoodPrior:
-    """Return the likelihood with the numbers that a structure's most probable draw has for what is unknown of it."""
-    return likelihood.with_values(
-        {
-            address.removeprefix("likelihood."): float(value)
-            for address, value in zip(part.addresses, part.values[part.best_place], strict=True)
-            if address.startswith("likelihood.")
-        }
-    )
 
 
 def _number(value: float) -> float | None:

@@ -44,10 +44,9 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
             entry["size_interval"] = intervals.get(vertex.name)
             entry["probability"] = float(posterior.object_probability(vertex.name))
             entry["probability_error"] = float(posterior.object_probability_error(vertex.name))
-            parents = posterior.parent_probability(vertex.name)
-            entry["parent_probability"] = {name: float(share) for name, share in parents.items()}
+            entry["parent_probability"] = posterior.parent_probability(vertex.name)
             if supports := posterior.support_probability(vertex.name):
-                entry["support_probability"] = {name: float(share) for name, share in supports.items()}
+                entry["support_probability"] = supports
         if "in_doubt" in meta:
             entry["trusted"] = vertex.name not in meta["in_doubt"]
         objects.append(entry)
@@ -72,21 +71,17 @@ def size_intervals(posterior: "Posterior") -> dict[str, list[list[float]] | None
     """
     found: dict[str, list[list[float]] | None] = {}
     for vertex in posterior.best_part.graph.vertices:
-        told = [_sizes(part, vertex.name) for part in posterior.parts if vertex.name in part.graph.names]
-        with_weight = [part.weight for part in posterior.parts if vertex.name in part.graph.names]
-        pairs = [(sizes, weight) for sizes, weight in zip(told, with_weight, strict=True) if sizes is not None]
-        if vertex.body.size() is None or not pairs:
+        if vertex.body.size() is None:
             found[vertex.name] = None
             continue
+        having = [part for part in posterior.parts if vertex.name in part.graph.names]
+        pairs = [(sizes, part.weight) for part in having if (sizes := _sizes(part, vertex.name)) is not None]
         sizes = np.concatenate([each for each, _ in pairs])
         weights = np.concatenate([np.full(len(each), max(weight, 0.0) / len(each)) for each, weight in pairs])
         if not weights.sum() > 0:
             weights = np.ones(len(sizes))
-        low, high = 0.5 * (1.0 - INSIDE), 0.5 * (1.0 + INSIDE)
-        found[vertex.name] = [
-            [weighted_quantile(sizes[:, axis], weights, low), weighted_quantile(sizes[:, axis], weights, high)]
-            for axis in range(3)
-        ]
+        ends = 0.5 * (1.0 - INSIDE), 0.5 * (1.0 + INSIDE)
+        found[vertex.name] = [[weighted_quantile(side, weights, end) for end in ends] for side in sizes.T]
     return found
 
 

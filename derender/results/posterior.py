@@ -80,6 +80,14 @@ class StructurePosterior:
         graph = self.graph.with_numbers(numbers)
         return graph if self.root_pose is None else replace(graph, root_pose=self.root_pose[chain, draw])
 
+    def likelihood_at(self, chain: int, draw: int) -> dict[str, float]:
+        """Return the numbers of the likelihood that are unknown, by name, in one draw."""
+        return {
+            address.removeprefix("likelihood."): float(value)
+            for address, value in zip(self.addresses, self.values[chain, draw], strict=True)
+            if address.startswith("likelihood.")
+        }
+
     @property
     def best_place(self) -> tuple[int, int]:
         """Chain and number of the draw of highest log density."""
@@ -234,7 +242,7 @@ class Posterior:
                     "weight_error": part.weight_error,
                     "weight_interval": None if part.weight_interval is None else list(part.weight_interval),
                     "periods": list(part.periods),
-                    "extras": _plain(part.extras),
+                    "extras": part.extras,
                 }
             )
         header = {
@@ -242,10 +250,10 @@ class Posterior:
             "seed": self.seed,
             "command": self.command,
             "version": self.version,
-            "meta": _plain(self.meta),
+            "meta": self.meta,
             "parts": headers,
         }
-        text = json.dumps(header, sort_keys=True)
+        text = json.dumps(header, sort_keys=True, default=plain)
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, header=np.frombuffer(text.encode(), np.uint8), **arrays)
 
@@ -298,17 +306,11 @@ def scene_of(text: str, names: Sequence[str]) -> SceneGraph:
     return replace(graph, vertices=tuple(map(graph.vertex, names)))
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: NumPy's numbers and arrays as Python's, paths as text."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
+def plain(value: Any) -> Any:
+    """Return what JSON does not know as it can hold it: NumPy's numbers and arrays as Python's, paths as text."""
+    if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value if isinstance(value, str | int | float | bool | type(None)) else str(value)
+    return dict(value) if isinstance(value, Mapping) else str(value)
 
 
 WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits

@@ -112,11 +112,7 @@ def likelihood_at(
     if "type" not in told:
         raise DerenderError("the posterior does not say what its likelihood was", remedy="infer again")
     kind = told.pop("type")
-    for index, address in enumerate(part.addresses):
-        room, _, name = address.partition(".")
-        if room == "likelihood":
-            told[name] = float(part.values[chain, draw, index])
-    return kind, {name: float(value) for name, value in told.items()}
+    return kind, {name: float(value) for name, value in told.items()} | part.likelihood_at(chain, draw)
 
 
 def _spread(draws: int, most: int) -> np.ndarray:

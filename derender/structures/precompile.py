@@ -13,13 +13,14 @@ import sys
 import threading
 
 from derender.compilation.cache import helpers
+from derender.compilation.threads import processors
 
 WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compiled for
 
 
 def precompile(part: str) -> None:
     """Have one of PARTS compiled beside this process, should it compile anything; with one processor, not."""
-    if len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1:
+    if processors() > 1:
         helpers.append(functools.partial(_start, part))
 
 
