@@ -9,6 +9,7 @@ transforms.json, whose cameras have y up and z backwards, and BOP's scene_camera
 """
 
 import codecs
+import contextlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,9 +20,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from derender.atomic import write_text
-from derender.camera.image_files import read_bytes
+from derender.camera.image_files import DAMAGE, MOST_BYTES, decode_npz, read_bytes
 from derender.camera.intrinsics import Camera, finite_number, from_matrix, numbers_in
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.json_text import MOST_DEPTH, parse_json
 from derender.scene.pose import inverse, rotation_z
 
@@ -278,15 +279,20 @@ def load_tree(
     """
     import yaml
 
-    data = read_bytes(path, LARGEST_FILE, what, remedy)
+    most = MOST_BYTES if str(path).lower().endswith(".npz") else LARGEST_FILE  # a depth image with its camera
+    data = read_bytes(path, most, what, remedy)
     try:
+        if data.startswith(b"PK"):
+            with at_fault(path):
+                return decode_npz(data).camera
         if data.startswith(b"\x93NUMPY"):
             return np.load(BytesIO(data), allow_pickle=False).tolist()
         wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as PowerShell's `>` writes
         text = data.decode("utf-16" if wide else "utf-8-sig")
         words = text.replace(",", " ").replace(";", " ").split()
-        if len(words) == 9 and all(map(_is_number, words)):  # a matrix as numpy.savetxt or a table writes it
-            return [words[0:3], words[3:6], words[6:9]]
+        if len(words) == 9:  # a matrix as numpy.savetxt or a table writes it
+            with contextlib.suppress(ValueError):
+                return np.reshape([float(word) for word in words], (3, 3)).tolist()
         if text.lstrip().startswith("{"):
             try:
                 return parse_json(text, path)
@@ -296,7 +302,7 @@ def load_tree(
         loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
         _refuse_deep(yaml.parse(text, loader))
         return next(iter(yaml.load_all(text, loader)))  # `rostopic echo` separates messages by ---
-    except (ValueError, yaml.YAMLError, RecursionError, StopIteration, TypeError):
+    except (yaml.YAMLError, RecursionError, StopIteration, *DAMAGE):
         raise DerenderError("neither JSON nor YAML", path, remedy) from None
 
 
@@ -310,14 +316,6 @@ def _refuse_deep(events: Iterator[Any]) -> None:
         depth -= isinstance(event, yaml_events.CollectionEndEvent)
         if depth > MOST_DEPTH:
             raise ValueError
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 FARTHEST = 1e6  # metres from the first camera: numbers with more digits than that tell no millimetres

@@ -25,7 +25,6 @@ from derender.camera.image_files import (
     STRETCHED,
     SUFFIXES,
     Decoded,
-    decode_npz,
     encode_exr,
     encode_npy,
     encode_npz,
@@ -232,8 +231,6 @@ def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]
     if isinstance(given, Mapping):
         return camera_from_tree(dict(given), shape), False
     if given is not None:
-        if str(given).lower().endswith(".npz"):
-            return _camera_of_npz(given, shape), False
         return read_camera(given, shape, frame=Path(path).stem), False
     if inside is not None:
         try:
@@ -244,16 +241,6 @@ def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]
     if beside is not None:
         return read_camera(beside, shape, frame=Path(path).stem), False
     return Camera.from_field_of_view(shape[1], shape[0], FALLBACK_FIELD_OF_VIEW), True
-
-
-def _camera_of_npz(path: str | Path, shape: tuple[int, int]) -> Camera:
-    try:
-        tree = decode_npz(read_bytes(path, MOST_BYTES, "the depth image", "check the path")).camera
-    except DAMAGE:
-        tree = None
-    if tree is None:
-        raise DerenderError("no camera in this file", path, "give a camera file")
-    return camera_from_tree(tree, shape)
 
 
 def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path: str | Path) -> np.ndarray:

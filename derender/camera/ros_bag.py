@@ -6,7 +6,7 @@ for. Needs the package rosbags (extra `ros`), no ROS.
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from os.path import commonprefix
 from pathlib import Path
@@ -167,18 +167,10 @@ def _camera(reader: Any, topic: str) -> dict[str, Any] | None:
             "fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}  # fmt: skip
     for connection in reader.connections:
         if connection.topic.endswith(UNIT):
-            unit = _unit(_first(reader, connection))
-            if unit > 0:
-                tree["depth_scale"] = 1000.0 * unit
+            with suppress(AttributeError, TypeError, ValueError):  # a Float32 in .bag, a String in .db3, or none
+                if (unit := float(_first(reader, connection).data)) > 0:
+                    tree["depth_scale"] = 1000.0 * unit
     return tree
-
-
-def _unit(message: Any) -> float:
-    """Return the metres for one unit that a message of RealSense tells, a Float32 in .bag, a String in .db3; else 0."""
-    try:
-        return float(message.data)
-    except (AttributeError, TypeError, ValueError):
-        return 0.0
 
 
 def _depth_of(message: Any, path: str) -> np.ndarray:

@@ -107,6 +107,17 @@ def test_standard_streams_carry_whole_files(tmp_path, monkeypatch, capfdbinary):
         read_depth("-")
 
 
+def test_an_npz_is_a_camera_file_too(tmp_path):
+    (tmp_path / "own.npz").write_bytes(encode_npz(TRUTH, CAMERA, {}))
+    assert Camera.from_file(tmp_path / "own.npz") == CAMERA
+    assert read_depth(TRUTH, tmp_path / "own.npz").camera == CAMERA
+    np.savez(tmp_path / "none.npz", depth=TRUTH)
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "own.npz").read_bytes()[:60])
+    for name in ("none.npz", "cut.npz"):
+        with pytest.raises(DerenderError, match=f"{name}: "):
+            Camera.from_file(tmp_path / name)
+
+
 def test_an_npz_of_others_gives_its_intrinsic_matrix(tmp_path):
     np.savez(tmp_path / "a.npz", depth=TRUTH.astype(np.float32), K=np.array([[5, 0, 1.5], [0, 5, 1], [0, 0, 1]]))
     assert read_depth(tmp_path / "a.npz").camera == CAMERA
