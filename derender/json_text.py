@@ -24,14 +24,11 @@ def parse_json(text: str | bytes, where: object = None) -> Any:
         raise DerenderError(f"this is not JSON ({error})", where, "write it again") from error
     level = [tree]
     for _ in range(MOST_DEPTH):
-        level = [item for node in level if isinstance(node, (dict, list)) for item in _items(node)]
+        level = [node.values() if isinstance(node, dict) else node for node in level if isinstance(node, dict | list)]
+        level = [item for items in level for item in items]
         if not level:
             return tree
     raise _too_deep(where)
-
-
-def _items(node: dict | list) -> Any:
-    return node.values() if isinstance(node, dict) else node
 
 
 def _too_deep(where: object) -> DerenderError:

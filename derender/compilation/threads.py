@@ -34,13 +34,13 @@ def processors() -> int:
 @functools.cache
 def import_in_background(*modules: str) -> None:
     """Begin, once, to import what will be needed later, as far as it is installed."""
-    threading.Thread(target=_import_all, args=(modules,), daemon=True).start()
 
+    def import_all() -> None:
+        for module in modules:
+            if importlib.util.find_spec(module.partition(".")[0]) is not None:
+                importlib.import_module(module)
 
-def _import_all(modules) -> None:
-    for module in modules:
-        if importlib.util.find_spec(module.partition(".")[0]) is not None:
-            importlib.import_module(module)
+    threading.Thread(target=import_all, daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -108,10 +108,7 @@ def read_models_info(path: str | Path, models: str | Path | None = None) -> tupl
         candidates = [folder / name for folder in folders for name in names]
     for candidate in candidates:
         if candidate.is_file():
-            try:
-                return parse_json(candidate.read_text(encoding="utf-8"), candidate), candidate.parent
-            except UnicodeDecodeError as fault:
-                raise DerenderError("this is not JSON", candidate) from fault
+            return parse_json(candidate.read_bytes(), candidate), candidate.parent
     raise DerenderError("sizes of the models are needed: no models_info.json", path, "give it with --models")
 
 
@@ -139,10 +136,7 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
 
     Raises DerenderError : not JSON, or neither of the two; `frame` or `models` for what is not BOP's.
     """
-    try:
-        tree = parse_json(Path(path).read_text(encoding="utf-8"), path)
-    except UnicodeDecodeError as fault:
-        raise DerenderError("this is not JSON", path, "give a scene, or BOP's scene_gt.json") from fault
+    tree = parse_json(Path(path).read_bytes(), path)
     if isinstance(tree, Mapping) and isinstance(tree.get("objects"), list):
         if frame is not None or models is not None:
             raise DerenderError("this is not BOP's scene_gt.json", path, "leave out --frame and --models")

@@ -197,7 +197,9 @@ class Posterior(kept.Posterior):
         """
         from derender.results.predictive import predictive_images
 
-        return predictive_images(self, self._camera(), count, np.random.default_rng(seed))
+        if self.camera is None:
+            raise DerenderError("the posterior knows no camera", remedy="load the folder that derender infer wrote")
+        return predictive_images(self, self.camera, count, np.random.default_rng(seed))
 
     def probability(
         self,
@@ -286,11 +288,6 @@ class Posterior(kept.Posterior):
             shown = picture_html(pictures.paint(depth, *pictures.depth_limits(depth)), "observed depth")
         likely = "<br>".join(f"{share} {escape(words)}" for share, words in told_structures(self)[:MOST_LINES])
         return f"<div>{shown}{self.best.picture_html()}<p>{likely}</p>{self.objects._repr_html_()}</div>"
-
-    def _camera(self) -> Camera:
-        if self.camera is None:
-            raise DerenderError("the posterior knows no camera", remedy="load the folder that derender infer wrote")
-        return self.camera
 
     def _scene(self, graph: SceneGraph) -> Scene:
         told = dict(self.meta.get("likelihood") or {})

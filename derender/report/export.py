@@ -51,11 +51,6 @@ def export_scene(graph: SceneGraph, path: str | Path, camera: Camera | None = No
     return written
 
 
-def export_glb(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
-    """Return the bytes of a .glb: the scene graph as nodes, each child under its parent."""
-    return {path.name: glb_bytes(graph)}
-
-
 def export_obj(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
     """Return the bytes of a Wavefront .obj, one object for each solid, z up, and of the .mtl with its materials."""
     solids = graph.solids()
@@ -216,7 +211,7 @@ def export_bop(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
 
 
 EXPORTERS: dict[str, Callable[[SceneGraph, Path, Camera | None], dict[str, bytes]]] = {
-    ".glb": export_glb,
+    ".glb": lambda graph, path, camera: {path.name: glb_bytes(graph)},
     ".obj": export_obj,
     ".xml": export_mjcf,
     ".urdf": export_urdf,
@@ -229,7 +224,7 @@ FLOAT = 5126
 
 
 def glb_bytes(graph: SceneGraph, trajectory: "Trajectory | None" = None) -> bytes:
-    """Return the scene as the bytes of a GLB.
+    """Return the scene graph as the bytes of a GLB: nodes, each child under its parent.
 
     trajectory : moves its bodies, as an animation; objects that it does not name, nor planes, are left out.
     """
@@ -275,7 +270,8 @@ def _add_mesh(
 ) -> None:
     # Every triangle has vertices of its own and no normals are given: glTF then asks for flat shading.
     points = _add_values(tree, data, vertices[triangles].reshape(-1, 3), "VEC3")
-    material = {"baseColorFactor": [*_linear(colour), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    light = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)  # glTF wants it linear
+    material = {"baseColorFactor": [*light.tolist(), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
     primitive = {"attributes": {"POSITION": points}, "material": len(tree["materials"])}
     tree["materials"].append({"name": name, "pbrMetallicRoughness": material, "doubleSided": True})
     tree["meshes"].append({"name": name, "primitives": [primitive]})
@@ -314,11 +310,6 @@ def _add_values(tree: dict, data: bytearray, values: np.ndarray, kind: str) -> i
     tree["accessors"].append(entry | {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()})
     data += values.tobytes()
     return len(tree["accessors"]) - 1
-
-
-def _linear(colour: np.ndarray) -> list[float]:
-    """Return an sRGB colour as linear light, as glTF wants it."""
-    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4).tolist()
 
 
 def _column_major(pose: np.ndarray) -> list[float]:
