@@ -148,8 +148,8 @@ class Shooting(Impacts):
         material = self.parameters.material(path.coordinates)
         if untold is not None:
             material = material._replace(restitution=untold.restitution, contact_time=untold.contact_time)
-        if not self.struck:  # restitution would only change how resting contacts rattle
-            material = Material(material.friction, SLIDING_RESTITUTION, material.masses)
+        if not self.struck:  # restitution and masses would only change how contacts with the floor rattle
+            material = Material(material.friction, SLIDING_RESTITUTION, self.engine.masses)
         self.engine.tell(material)
         states, arrived = path.states.copy(), path.arrived.copy()
         rests = False
