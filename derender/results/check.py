@@ -81,7 +81,6 @@ BESIDE = 160  # columns for each pixel by which what a region touches may be off
 LEAST_SHARE = 0.001  # of the valid pixels that a region must have to be told
 MOST_IN_ALL = 0.04  # share of the valid pixels that may be unexplained
 MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
-ABOUT = 0.8  # share of what is about a region from which on it is the inside of what shows there
 MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
 SOME_BACKGROUND, MOST_OVER = 0.05, 0.04  # shares of the valid pixels: it counts; a region over the floor is too much
@@ -154,17 +153,8 @@ def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     total = float(left.sum() / valid.sum())
     words = ", ".join(f"region {region.name} {region.where}" for region in found[:MOST_TOLD])
     more = f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
-    shares = [0.0 if within_one(region.mask, fit.label) else region.share for region in found]
-    serious = total - sum(region.share for region in found) + sum(shares) > MOST_IN_ALL or max(shares) > MOST_IN_ONE
+    serious = total > MOST_IN_ALL or found[0].share > MOST_IN_ONE
     return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, found)]
-
-
-def within_one(mask: np.ndarray, label: np.ndarray) -> bool:
-    """Return whether one object shows all about a mask (H, W), as a mug does about its own inside."""
-    from scipy.ndimage import binary_dilation
-
-    about = label[binary_dilation(mask, np.ones((5, 5))) & ~mask]
-    return bool(np.bincount(about)[1:].max(initial=0) > ABOUT * about.size)
 
 
 def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np.ndarray) -> list[Doubt]:

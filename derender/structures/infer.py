@@ -185,7 +185,7 @@ def completed(
     """
     from derender.detection.solids.graph import without_floor
     from derender.structures.graph_posterior import parts_of
-    from derender.structures.supports import added, further_supports, with_supports
+    from derender.structures.supports import further_supports, with_supports
 
     state, seen = looks[0].state, looks[0].seen
     settings = settings_for(case.settings, seen)
@@ -197,7 +197,8 @@ def completed(
         for there, other in further_supports(seen, case.depth.shape, look):
             own = settings_for(case.settings, other)
             more = parts_of(rng, other, there, [], own, *case.many, case.only_best)
-            extras = dict(added(extras, more[0].extras))
+            both = ((key, extras.get(key), more[0].extras.get(key)) for key in ("pixels", "spots", "hidden_expected"))
+            extras.update((key, own + its) for key, own, its in both if own is not None and its is not None)
             others.append((finished(rng, case, more, there, other, settings), other))
             observations.append(other)
         parts = with_supports(parts, seen, others)

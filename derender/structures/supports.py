@@ -159,10 +159,3 @@ def hung_anew(part: StructurePosterior, other: StructurePosterior, names: list[s
 def periods_of(part: StructurePosterior) -> Any:
     """Return the period of each unknown of a StructurePosterior, None for those without."""
     return part.periods or (None,) * len(part.addresses)
-
-
-def added(first: Any, second: Any) -> Any:
-    """Return the extras of two planes' structures together: counts added, lists joined, the rest of the first."""
-    both = {key: first[key] + second[key] for key in ("pixels", "spots", "hidden_expected")
-             if first.get(key) is not None and second.get(key) is not None}  # fmt: skip
-    return {**first, **both}

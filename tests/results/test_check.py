@@ -72,19 +72,6 @@ def test_what_a_doubt_is_about_is_in_doubt_and_what_stands_on_it():
         "floor": True, "left": False, "right": True, "upon": False}  # fmt: skip
 
 
-def test_what_is_not_explained_within_an_object_is_no_other():
-    """A mug whose inside its closed surface hides was doubted for it."""
-    large = scene(cube("large", side=0.18, theta=0.3))
-    seen = image(large)
-    rows, columns = np.nonzero(fit_of(large, CAMERA, seen, LIKELIHOOD).label == large.names.index("large") + 1)
-    top, left = int(rows.mean()), int(columns.mean())
-    seen[top - 9 : top + 9, left - 9 : left + 9] += 0.1
-    (doubt,) = doubts_of(large, seen)
-    assert "2 % of the image is not explained: region A" in doubt.words and not doubt.serious
-    seen[top - 9 : top + 9, left : left + 40] = 0.2  # goes on beyond it
-    assert any("is not explained" in doubt.words and doubt.serious for doubt in doubts_of(large, seen))
-
-
 def test_windows_that_noise_does_not_explain_are_told():
     """A quick search built five boxes of four, none off by more than a sensor may be: it was trusted on its fit."""
     seen = image(TRUE)
