@@ -62,7 +62,8 @@ def command(
         derender eval results/ label.png --divisor 10 --background 0,1
     """
     from derender.errors import DerenderError
-    from derender.evaluation.metrics import LABEL_SUFFIXES, paired, totals
+    from derender.evaluation.metrics import LABEL_SUFFIXES, compare_scenes, condition_of, mask_f1, paired, totals
+    from derender.evaluation.truth import read_labels
 
     pairs = paired(predicted, truth)
     labels = _numbers(background)
@@ -74,8 +75,13 @@ def command(
     results = []
     for name, left, right in talk.counted(pairs, len(pairs), "comparing scene"):
         talk.detail(f"{name}: {left} against {right}")
-        result = _compare(left, right, frame, models, labels, divisor, graph_iou)
-        results.append({"name": name, **result})
+        scene, found = _scene(left)
+        if right.suffix in LABEL_SUFFIXES:
+            seen = read_labels(right, divisor)
+            result = {"masks": mask_f1(_rendered_labels(found, left, seen.shape), seen, background=labels)}
+        else:
+            result = compare_scenes(scene, _scene(right, frame, models)[0], graph_iou)
+        results.append({"name": name, **result, "condition": condition_of(scene)})
     total = totals(results)
     if as_json:
         click.echo(json.dumps({"total": total, "scenes": results}))
@@ -91,24 +97,6 @@ def _numbers(text: str) -> list[int]:
         return [int(word) for word in text.split(",") if word.strip()]
     except ValueError:
         raise click.BadParameter("give whole numbers with commas between them", param_hint="--background") from None
-
-
-def _compare(
-    left: Path, right: Path, frame: Any, models: Any, background: list[int], divisor: int, graph_iou: float
-) -> dict[str, Any]:
-    """Compare one prediction with one truth."""
-    from derender.evaluation.metrics import LABEL_SUFFIXES, compare_scenes, condition_of, mask_f1
-    from derender.evaluation.truth import read_labels
-
-    scene, found = _scene(left)
-    result: dict[str, Any]
-    if right.suffix in LABEL_SUFFIXES:
-        labels = read_labels(right, divisor)
-        result = {"masks": mask_f1(_rendered_labels(found, left, labels.shape), labels, background=background)}
-    else:
-        true, _ = _scene(right, frame, models)
-        result = compare_scenes(scene, true, graph_iou)
-    return {**result, "condition": condition_of(scene)}
 
 
 def _scene(path: Path, frame: str | None = None, models: str | None = None) -> Any:

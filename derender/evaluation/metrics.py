@@ -35,11 +35,8 @@ def planes_of(scene: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def iou_matrix(predicted: Sequence[Mapping[str, Any]], truth: Sequence[Mapping[str, Any]]) -> np.ndarray:
     """Return the intersection over union of each predicted solid with each true one, (P, T) float64."""
-    overlap = np.zeros((len(predicted), len(truth)))
-    for i, a in enumerate(predicted):
-        for j, b in enumerate(truth):
-            overlap[i, j] = intersection_over_union(a, b)
-    return overlap
+    overlap = [[intersection_over_union(a, b) for b in truth] for a in predicted]
+    return np.array(overlap, float).reshape(len(predicted), len(truth))
 
 
 def assign(overlap: np.ndarray, threshold: float) -> list[tuple[int, int]]:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -98,17 +97,21 @@ def _structures(report: Report) -> str:
 
 
 def _objects(report: Report, colours: Mapping[str, str]) -> str:
-    rows = []
+    rows, drawn = [], _drawn(report)
     for item in report.scene["objects"]:
-        name = escape(item["name"])
+        name, size = escape(item["name"]), item.get("size")
+        extents = "–" if size is None else extents_text(size, item.get("size_interval"))
+        likely = "–"
+        if drawn and "probability" in item:
+            likely = escape(probability_text(item["probability"], item.get("probability_error", 0.0)))
         position = ", ".join(f"{row[3]:.3f}" for row in item["pose"][:3])
         swatch = f'<span class="bar" style="width:12px;background:{colours.get(item["name"], "#cdcbc6")}"></span>'
         shown = f'<button type="button" data-object="{name}" aria-pressed="false">{swatch} {name}</button>'
         rows.append(
-            f'<tr data-object="{name}"><td>{shown if item.get("size") is not None else swatch + " " + name}</td>'
-            f"<td>{escape(item['type'])}</td><td class=number>{_size(item)}</td>"
+            f'<tr data-object="{name}"><td>{shown if size is not None else swatch + " " + name}</td>'
+            f"<td>{escape(item['type'])}</td><td class=number>{extents}</td>"
             f"<td class=number>{position}</td><td>{escape(str(item.get('parent') or '–'))}</td>"
-            f"<td class=number>{_probability(item) if _drawn(report) else '–'}</td></tr>"
+            f"<td class=number>{likely}</td></tr>"
         )
     head = (
         "<tr><th>name</th><th>type</th><th class=number>size, cm (± half of the 90 % range)</th>"
@@ -117,22 +120,10 @@ def _objects(report: Report, colours: Mapping[str, str]) -> str:
     return "<h2>Objects</h2>" + wide(f"<table>{head}{''.join(rows)}</table>", "objects")
 
 
-def _size(item: Mapping[str, Any]) -> str:
-    """Return the extents of an object in words."""
-    size = item.get("size")
-    return "–" if size is None else extents_text(size, item.get("size_interval"))
-
-
 def wide(inside: str, words: str) -> str:
     """Return what may be wider than the window: it then says that it goes on, and scrolls by keys too."""
     return (f'<div class="scroll" role="region" tabindex="0" aria-label="{words}">{inside}</div>'
             '<p class="more" hidden>This goes on to the right.</p>')  # fmt: skip
-
-
-def _probability(item: Mapping[str, Any]) -> str:
-    if "probability" not in item:
-        return "–"
-    return escape(probability_text(item["probability"], item.get("probability_error", 0.0)))
 
 
 def _drawn(report: Report) -> bool:

@@ -11,7 +11,7 @@ from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.bare_image import BareImagePrior
 from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
-from derender.scene.priors.objects import ROTATION, ContactPrior
+from derender.scene.priors.objects import ROTATION
 from derender.scene.priors.tree import TreePrior
 
 if TYPE_CHECKING:
@@ -136,7 +136,8 @@ def _tree_lines(prior: TreePrior) -> list[str]:
     def describe(item: "TreeObject") -> str:
         parent = f"   on {item.parent}" if isinstance(item.parent, Categorical) else ""
         free = _values(item.shape.free())
-        return f"{item.name}  {item.shape.type}{' ' + free if free else ''}{parent}   {_rules(item.contact)}"
+        rules = " or ".join(_rule(rule) for rule in item.contact.rules)
+        return f"{item.name}  {item.shape.type}{' ' + free if free else ''}{parent}   {rules}"
 
     return _branches(ROOT, children, describe)
 
@@ -147,10 +148,6 @@ def _kinds(prior: Any) -> list[str]:
         weight = f"weight {entry.weight:g}  " if entry.weight != 1 else ""
         lines.append(f"shape {name}  {weight}{_values(entry.free())}".rstrip())
     return lines + [f"contact {_rule(rule)}" for rule in prior.contacts.rules]
-
-
-def _rules(contact: ContactPrior) -> str:
-    return " or ".join(_rule(rule) for rule in contact.rules)
 
 
 def _rule(rule: "ContactRule") -> str:
