@@ -53,8 +53,8 @@ def in_metres(posterior: "Posterior", unit: float) -> "Posterior":
 
 def part_in_metres(part: "StructurePosterior", unit: float) -> "StructurePosterior":
     """Return a StructurePosterior with all lengths in metres; its log densities keep their unit."""
-    powers = powers_of(part.graph)
-    graph = part.graph.with_numbers({k: v * unit ** powers.get(k, 0) for k, v in part.graph.numbers().items()})
+    lengths, numbers = lengths_of(part.graph), part.graph.numbers()
+    graph = part.graph.with_numbers({k: v * unit if k in lengths else v for k, v in numbers.items()})
     extras = dict(part.extras)
     if "likelihood" in extras:
         extras["likelihood"] = likelihood_in_metres(extras["likelihood"], unit)
@@ -72,13 +72,10 @@ def scale_drawn(rng: np.random.Generator, part: "StructurePosterior", scale: flo
 def stretched(part: "StructurePosterior", factors: np.ndarray) -> "StructurePosterior":
     """Return a StructurePosterior whose draws are so many times as large, and as far from the camera, each by a factor
     (chains, draws) of its own."""
-    powers = powers_of(part.graph)
-    lengths = np.array([powers.get(address, 0) for address in part.addresses], int)
+    factors, lengths = factors[..., None], lengths_of(part.graph)
+    values = part.values * np.where([address in lengths for address in part.addresses], factors, 1.0)
     root = part.graph.root_pose if part.root_pose is None else part.root_pose
-    root = np.broadcast_to(root, (*factors.shape, 4, 4))
-    return replace(
-        part, values=part.values * factors[..., None] ** lengths, root_pose=farther(root, factors[..., None])
-    )
+    return replace(part, values=values, root_pose=farther(np.broadcast_to(root, (*factors.shape[:2], 4, 4)), factors))
 
 
 def farther(pose: np.ndarray, factor: float | np.ndarray) -> np.ndarray:
@@ -88,15 +85,12 @@ def farther(pose: np.ndarray, factor: float | np.ndarray) -> np.ndarray:
     return pose
 
 
-def powers_of(graph: "SceneGraph") -> dict[str, int]:
-    """Return {address: 1} of a graph's numbers that are lengths."""
-    found = {}
-    for vertex in graph.vertices:
-        for parameter in shapes[vertex.shape].parameters:
-            found[f"{vertex.name}.{parameter.name}"] = int(parameter.unit == "m")
-        for parameter in graph.contact_parameters(vertex.name):
-            found[f"{vertex.name}.contact.{parameter.name}"] = int(parameter.unit == "m")
-    return found
+def lengths_of(graph: "SceneGraph") -> set[str]:
+    """Return the addresses of a graph's numbers that are lengths."""
+    found = {f"{vertex.name}.{parameter.name}" for vertex in graph.vertices
+             for parameter in shapes[vertex.shape].parameters if parameter.unit == "m"}  # fmt: skip
+    return found | {f"{name}.contact.{parameter.name}" for name in graph.names
+                    for parameter in graph.contact_parameters(name) if parameter.unit == "m"}  # fmt: skip
 
 
 def likelihood_in_metres(numbers: Any, unit: float) -> dict[str, float | str]:

@@ -45,12 +45,10 @@ GAPS = 60  # draws looked at
 
 
 class Candidate(NamedTuple):
-    """A contact besides the tree's. mean, spread : metres, of the gap between them over the draws."""
+    """A contact besides the tree's."""
 
     name: str  # the solid, and what else it may rest on
     other: str  # the solid, and what else it may rest on
-    mean: float
-    spread: float
     probability: float  # that they are in contact
 
 
@@ -118,7 +116,7 @@ def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, sl
     with_it = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2 * np.pi * variance)
     prior_odds = loose.second_support / (1.0 - loose.second_support)
     odds = prior_odds * loose.within * with_it / (1.0 if balanced else loose.tipping)
-    return Candidate(name, other, mean, spread, float(odds / (1 + odds)))
+    return Candidate(name, other, float(odds / (1 + odds)))
 
 
 def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePosterior]:
@@ -187,10 +185,6 @@ class SupportResidual(NamedTuple):
     gap: float  # metres between them along the support's normal; negative where they interpenetrate
     tilt: float  # radians between them
     outside: float  # metres by which their outlines miss each other
-
-    def distance(self, radius: float) -> float:
-        """Return one length: gap, miss and the tilt's arc at `radius` metres, as a root of the sum of squares."""
-        return float(np.sqrt(self.gap**2 + self.outside**2 + (radius * self.tilt) ** 2))
 
 
 def support_residual(graph: SceneGraph, name: str, support: str) -> SupportResidual:

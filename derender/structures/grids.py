@@ -16,9 +16,8 @@ probability spreads over all numbers of parts that the prior has.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -168,78 +167,69 @@ def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Belie
     found = []
     for part in parts:
         graph, _ = part.best()
-        index = cache(partial(index_of, graph, image.camera))
         bodies = bodies_of(graph, blocks_of(graph), beliefs.loose.cartons.gap / image.unit, FLUSH / image.unit)
-        found += divide(part, [(names, grids_of(graph, names, image, beliefs, index)) for names in bodies])
+        found += divide(part, [(names, grids_of(graph, names, image, beliefs)) for names in bodies])
     return sorted(found, key=lambda part: -part.weight)
 
 
-def index_of(graph: SceneGraph, camera: Camera) -> np.ndarray:
-    """Return (H, W) which of a graph's solids each pixel shows."""
-    return render_depth(graph.solids(), camera)[1]
-
-
-def bodies_of(graph: SceneGraph, names: Sequence[str], gap: float, flush: float) -> list[tuple[str, ...]]:
-    """Return the names of boxes in groups, each of which fills one box but for gaps; most of one box alone.
+def bodies_of(graph: SceneGraph, groups: list[tuple[str, ...]], gap: float, flush: float) -> list[tuple[str, ...]]:
+    """Return groups of names of boxes, joined where one beside another fills one box but for gaps.
 
     gap, flush : metres between neighbours and by which their faces may be off, at most.
     """
-    groups: list[tuple[str, ...]] = [(name,) for name in names]
-    joined = True
-    while joined:
-        joined = False
-        for one, other in permutations(groups, 2):
-            (_, first), (_, second), (_, both) = (hull_of(graph, each) for each in (one, other, one + other))
-            beyond = both - first  # the other's own extent along one level axis, and nothing along the two others
-            axis = int(np.argmax(beyond))
-            level = np.abs(np.delete(beyond, axis)).max() < flush and abs(both[2] - second[2]) < flush
-            shared = abs(float(np.prod(both) - np.prod(first) - np.prod(second)))
-            if axis < 2 and level and shared < (gap + flush) * float(np.prod(np.delete(both, axis))):
-                groups = [*(each for each in groups if each not in (one, other)), one + other]
-                joined = True
-                break
+    for one, other in permutations(groups, 2):
+        (_, first), (_, second), (_, both) = (hull_of(graph, each) for each in (one, other, one + other))
+        beyond = both - first  # the other's own extent along one level axis, and nothing along the two others
+        axis = int(np.argmax(beyond))
+        level = np.abs(np.delete(beyond, axis)).max() < flush and abs(both[2] - second[2]) < flush
+        shared = abs(float(np.prod(both) - np.prod(first) - np.prod(second)))
+        if axis < 2 and level and shared < (gap + flush) * float(np.prod(np.delete(both, axis))):
+            return bodies_of(graph, [*(each for each in groups if each not in (one, other)), one + other], gap, flush)
     return groups
 
 
 def hull_of(graph: SceneGraph, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return (pose (4, 4) to camera, size (3,)) of the box about some boxes, along the axes of the first."""
-    pose = graph.poses()[names[0]].copy()
-    ends = np.array(list(product((-0.5, 0.5), repeat=3)))
-    corners = np.concatenate([(ends * np.array(graph.body(name).size())) @ own[:3, :3].T + own[:3, 3]
-                              for name in names for own in (graph.poses()[name],)])  # fmt: skip
-    local = (corners - pose[:3, 3]) @ pose[:3, :3]
-    low, high = local.min(axis=0), local.max(axis=0)
+    pose, ends = graph.poses()[names[0]].copy(), ends_of(graph, names)
+    low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
     pose[:3, 3] += pose[:3, :3] @ (0.5 * (low + high))
     return pose, high - low
 
 
-def blocks_of(graph: SceneGraph) -> list[str]:
-    """Return the names of the boxes that may be grids."""
+def ends_of(graph: SceneGraph, names: Sequence[str]) -> np.ndarray:
+    """Return (N, 2, 3) how far some boxes reach along the axes of the first, both ways from its middle."""
+    places = inverse(graph.poses()[names[0]]) @ np.array([graph.poses()[name] for name in names])
+    sizes = np.array([graph.body(name).size() for name in names])
+    half = 0.5 * (np.abs(places[:, :3, :3]) @ sizes[..., None])[..., 0]
+    return np.stack([places[:, :3, 3] - half, places[:, :3, 3] + half], axis=1)
+
+
+def blocks_of(graph: SceneGraph) -> list[tuple[str, ...]]:
+    """Return the name of each box that may be a grid, alone."""
     return [
-        vertex.name for vertex in graph.vertices
+        (vertex.name,) for vertex in graph.vertices
         if vertex.shape == "box" and vertex.parent == FLOOR_NAME and not graph.children(vertex.name)
         and vertex.contact.type == ON_A_FACE[0] and vertex.contact.child_face == "-z"
         and not any(vertex.name in other.supports for other in graph.vertices)
     ]  # fmt: skip
 
 
-def grids_of(
-    graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Beliefs, index: Callable[[], np.ndarray]
-) -> list[Grid]:
+def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Beliefs) -> list[Grid]:
     """Return the Grids that a box, or some that are flush, may be; none where all are too improbable before.
 
-    The odds are against the boxes as they were found, whose seams all of the grids have. index : see `index_of`.
+    The odds are against the boxes as they were found, whose seams all of the grids have.
     """
     cartons, (pose, size) = beliefs.loose.cartons, hull_of(graph, names)
     before, cuts = odds_before(graph, names, cartons, beliefs, image.unit), cuts_of(graph, names)
     if max(before.values(), default=-np.inf) < LEAST_ODDS:
         return []
-    mask = np.isin(index(), [list(graph.solid_names).index(name) for name in names])
+    _, which = render_depth(graph.solids(), image.camera)
+    mask = np.isin(which, [list(graph.solid_names).index(name) for name in names])
     seen = shown(image.depth, image.sigma, image.camera, pose, size, mask)
     widest = cartons.gap / image.unit
     gains = [[seam_gain(seen, axis, size[axis], number, widest) / image.temper if number > 1 else np.zeros(1)
               for number in range(1, cartons.most + 1)] for axis in range(3)]  # fmt: skip
-    mean = [[mean_gain(gain) for gain in own] for own in gains]
+    mean = [[float(np.logaddexp.reduce(gain)) - math.log(len(gain)) for gain in own] for own in gains]
     best = [[GAPS[gain.argmax()] for gain in own] for own in gains]
     coarsest = {axis: min(parts[axis] for parts in before) for axis, _ in cuts}
     known = sum(mean[axis][number - 1] for axis, number in coarsest.items())
@@ -263,23 +253,14 @@ def prior_of_grids(cartons: Cartons) -> float:
     return math.log(cartons.probability / (1.0 - cartons.probability) / shares)
 
 
-def mean_gain(gain: np.ndarray) -> float:
-    """Return the nats by which seams explain a box better, of those (n,) of gaps that are as likely as each other."""
-    return float(np.logaddexp.reduce(gain)) - math.log(len(gain))
-
-
 def cuts_of(graph: SceneGraph, names: Sequence[str]) -> list[tuple[int, float]]:
     """Return (axis of their hull, metres from its low end) of each level seam between boxes that are flush."""
-    pose, size = hull_of(graph, names)
-    into = inverse(pose)
-    found = []
-    for name in names[1:]:
-        place, turn = into @ graph.poses()[name], np.abs((into @ graph.poses()[name])[:3, :3])
-        half = 0.5 * turn @ np.array(graph.body(name).size())
-        ends = np.stack([place[:3, 3] - half, place[:3, 3] + half]) + 0.5 * size
-        inner = np.minimum(ends, size - ends)  # the face that lies deepest within the hull is the seam
+    ends, (_, size) = ends_of(graph, names), hull_of(graph, names)
+    ends, found = ends - ends[:, 0].min(axis=0), []
+    for own in ends[1:]:
+        inner = np.minimum(own, size - own)  # the face that lies deepest within the hull is the seam
         end, axis = np.unravel_index(int(np.argmax(inner[:, :2] / size[:2])), (2, 2))
-        found.append((int(axis), float(ends[end, axis])))
+        found.append((int(axis), float(own[end, axis])))
     return found
 
 

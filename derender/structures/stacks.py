@@ -23,7 +23,7 @@ from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
-from derender.detection.solids.support import final_parents
+from derender.detection.solids.support import final_parents, with_bottom
 from derender.detection.things import THINNEST, cost_of
 from derender.results.fit import smooth_surface
 from derender.scene.solids import BOX, SPHERE
@@ -118,11 +118,10 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     where it is likelier as one, or as a free-form surface."""
     view, rules, floor = view_of(seen), settings.rules, floor_pose_of(refined)
     sensor, both = refined.sensor._replace(observed=view.observed, beside=None).changed(), (i, len(state))
-    least = LEFT_HEIGHT * seen.scale
 
     def exact(state: State, most: float) -> bool:
         """Whether both are high enough, and off the image no farther."""
-        high = state.rows[list(both), 15].min() > least
+        high = state.rows[list(both), 15].min() > LEFT_HEIGHT * seen.scale
         return bool(high and badness(seen, state)[1][list(both)].max() < most)
 
     upright = state.changed(i, form=UPRIGHT, cube=False, bottom=lowest(state.rows[i]))
@@ -150,7 +149,7 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
         return None
     two, likely = likeliest(found, both)
     lower, upper = two.state.rows[list(both)]
-    rows += [spanning(row, lowest(lower), highest(upper)) for row in (lower, upper)]
+    rows += [with_bottom(row, lowest(lower), highest(upper)) for row in (lower, upper)]
     ones = [state, *(upright.changed(i, row=row) for row in rows)]
     one, alone = likeliest(climbed(ones, (i,)), (i,))
     left = make_chart(state.without(i), floor, rules)
@@ -187,14 +186,14 @@ def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state
         above, below = shown & (heights > cut), shown & (heights <= cut)
         if min(above.sum(), below.sum()) < LEFT_PIXELS:
             continue
-        lowers = [spanning(row, bottom, cut) for row in whole]
+        lowers = [with_bottom(row, bottom, cut) for row in whole]
         there = state.changed(i, row=lowers[0])
         uppers = best_upright(rng, seen, there, -1, above, cut, settings)
         lowers += best_upright(rng, taken_as_seen(seen, above), state, i, below, bottom, settings)
         for lower, upper in product(lowers, uppers):
             new, level = state.changed(i, row=lower), highest(lower)
             new.parents = [len(state) if parent == i else parent for parent in new.parents]
-            upper = spanning(upper, level, max(highest(upper), level + THINNEST))
+            upper = with_bottom(upper, level, max(highest(upper), level + THINNEST))
             states.append(new.add(upper, UPRIGHT, False, i, level))
     return states
 
@@ -203,13 +202,6 @@ def taken_as_seen(seen: Observation, mask: np.ndarray) -> Observation:
     """Return the Observation in which what a mask (H, W) shows is explained already."""
     floor = np.where(mask, seen.image.depth + 0.5 * AS_SEEN, seen.image.floor)
     return seen._replace(image=seen.image._replace(floor=floor))
-
-
-def spanning(row: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return the row of an upright solid from one height to another."""
-    new = row.copy()
-    new[15], new[12] = high - low, 0.5 * (low + high)
-    return new
 
 
 def best_upright(rng: np.random.Generator, seen: Observation, state: State, i: int, shown: np.ndarray, bottom: float,

@@ -142,14 +142,9 @@ def look_from(first: Look, state: State, seen: Observation, frame: Frame, settin
         what = f"its floor is {np.degrees(tilt):.0f} degrees and {100 * apart:.0f} cm off the first image's"
         remedy = "poses are camera to world, in metres, of one scene: camera axes x right, y down, z forward"
         raise DerenderError(what, frame.name, remedy)
-    return Look(state, seen, frame.into, along_floor(over))
-
-
-def along_floor(over: Any) -> Any:
-    """Return the turn about z and the shift along the floor of a motion (4, 4) between two floors' frames."""
     level = rotation_z(float(np.arctan2(over[1, 0], over[0, 0])))
     level[:2, 3] = over[:2, 3]
-    return level
+    return Look(state, seen, frame.into, level)
 
 
 def energy_of(looks: Sequence[Look], state: State, settings: Settings) -> float:

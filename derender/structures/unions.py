@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.threads import in_threads
-from derender.detection.search.moves import corners_of, cut_anew, extents_along, grown, touching_pairs
+from derender.detection.search.moves import corners_of, cut_anew, grown, touching_pairs
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
@@ -125,14 +125,10 @@ def may_stand_on(state: State, i: int, j: int) -> bool:
 def put_one_on(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
     """Return the Weighed of solid i standing on box j; None where that is pruned."""
     state = best.state
-    under, top = state.rows[j].copy(), highest(state.rows[j])
-    inner = state.rows[i].copy()
+    under, top, inner = state.rows[j], highest(state.rows[j]), state.rows[i].copy()
     inner[13:15] *= UNDER
-    low, high = extents_along(under, inner)
-    low, high = np.minimum(low, -0.5 * under[13:16]), np.maximum(high, 0.5 * under[13:16])
-    low[2], high[2] = -0.5 * under[15], 0.5 * under[15]
-    under[10:13] += rotation_of(under) @ (0.5 * (low + high))
-    under[13:16] = high - low
+    inner[[12, 15]] = under[[12, 15]]
+    under = merged_row(under, inner)
     higher = with_bottom(state.rows[i], top)
     new = state.changed(j, row=under, cube=False).changed(i, row=higher, cube=False, parent=j, bottom=top)
     trial = tried(rng, best, new, [i, j], rules)

@@ -165,10 +165,10 @@ def flat_top(row: np.ndarray) -> bool:
     return kind == CYLINDER and abs(row[9]) >= LEVEL
 
 
-def with_bottom(row: np.ndarray, height: float) -> np.ndarray:
-    """Return the upright solid with its bottom moved to a height, its top held still."""
+def with_bottom(row: np.ndarray, height: float, top: float | None = None) -> np.ndarray:
+    """Return the upright solid with its bottom moved to a height, and its top to another; None: held still."""
     new = row.copy()
-    top = row[12] + 0.5 * row[15]
+    top = row[12] + 0.5 * row[15] if top is None else top
     new[15] = max(top - height, 0.004)
     new[12] = top - 0.5 * new[15]
     return new

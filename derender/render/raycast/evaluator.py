@@ -14,14 +14,8 @@ from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PA
 from derender.scene.solids import Solids
 
 
-def engine_under(
-    likelihood: Likelihood,
-    values: Mapping[str, float],
-    camera: Camera,
-    observed: np.ndarray,
-    solids: Solids,
-    beside: np.ndarray | None = None,
-) -> EngineState:
+def engine_under(likelihood: Likelihood, values: Mapping[str, float], camera: Camera, observed: np.ndarray,
+                 solids: Solids, beside: np.ndarray | None = None) -> EngineState:  # fmt: skip
     """Return the state for an image (H, W) under a likelihood's numbers and for scenes of such solids.
 
     beside : see `Likelihood.beside`; None: it is made here.

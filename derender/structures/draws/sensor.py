@@ -89,13 +89,8 @@ class Sensor(NamedTuple):
         likelihood = self.likelihood if name is None else likelihoods[name]
         known = {p.name for p in likelihood.parameters}
         numbers = likelihood.complete({k: v for k, v in {**self.values, **values}.items() if k in known})
-        beside = self.beside
-        if (
-            beside is None
-            or likelihood is not self.likelihood
-            or any(numbers[name] != self.values[name] for name in likelihood.of_image)
-        ):
-            beside = likelihood.beside(self.observed, numbers)
+        same = likelihood is self.likelihood and all(numbers[k] == self.values.get(k) for k in likelihood.of_image)
+        beside = self.beside if same and self.beside is not None else likelihood.beside(self.observed, numbers)
         return self._replace(likelihood=likelihood, values=numbers, beside=beside)
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
