@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
@@ -285,7 +285,7 @@ def simulate(
     posterior = scene if isinstance(scene, Posterior) else None
     found = scene.best if isinstance(scene, Posterior) else as_scene(scene)
     acts = Acts(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
-    once = intervention(**_several(acts))._replace(jitter=None)
+    once = intervention(**acts)._replace(jitter=None)
     best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=early)
     chance = Chance(float(best.stable), 0.0, 1)
     if draws and (posterior is not None or jitter):
@@ -313,10 +313,4 @@ def chance_that(
     rng = np.random.default_rng(seed)
     graphs = of.each_graph(rng, count) if isinstance(of, Posterior) else repeat(of.graph, count)
     missed = of.missed if isinstance(of, Posterior) else 0.0
-    return probability(graphs, event, until=until, seed=seed, missed=missed, **_several(how))
-
-
-def _several(acts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return interventions of which a single one may have been given in place of a sequence."""
-    lists = ("push", "remove", "add")
-    return {key: (text,) if key in lists and isinstance(text, str) else text for key, text in acts.items()}
+    return probability(graphs, event, until=until, seed=seed, missed=missed, **how)

@@ -1,8 +1,8 @@
 """What is done to a scene from outside: pushes, shaking, tilting; and how a person writes it (`red:+x:0.5N@0.1s`)."""
 
 import re
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -232,13 +232,20 @@ def _displaced(body: Body, length: float, angle: float, rng: np.random.Generator
     return body._replace(pose=pose)
 
 
-def intervention(**texts: Any) -> Intervention:
-    """Return an intervention from texts: push, remove and add as sequences, tilt, shake and jitter as one or None."""
-    tilt, shake, jitter = texts.get("tilt"), texts.get("shake"), texts.get("jitter")
+def intervention(
+    push: str | Sequence[str] = (),
+    remove: str | Sequence[str] = (),
+    add: str | Sequence[str] = (),
+    tilt: str | None = None,
+    shake: str | None = None,
+    jitter: str | None = None,
+) -> Intervention:
+    """Return an intervention from texts: of push, remove and add one or several."""
+    pushes, removed, added = ((each,) if isinstance(each, str) else tuple(each) for each in (push, remove, add))
     return Intervention(
-        tuple(read_push(text) for text in texts.get("push") or ()),
-        tuple(texts.get("remove") or ()),
-        tuple(read_add(text) for text in texts.get("add") or ()),
+        tuple(map(read_push, pushes)),
+        removed,
+        tuple(map(read_add, added)),
         None if tilt is None else read_tilt(tilt),
         None if shake is None else read_shake(shake),
         None if jitter is None else read_jitter(jitter),

@@ -65,24 +65,19 @@ def simulate_scene(
     *,
     engine: str = "mujoco",
     duration: float = 2.0,
-    push: Sequence[str] = (),
-    remove: Sequence[str] = (),
-    add: Sequence[str] = (),
-    tilt: str | None = None,
-    shake: str | None = None,
-    jitter: str | None = None,
     what: Intervention | None = None,
     margin: bool = False,
     forces: bool = False,
     early: bool = True,
     rng: np.random.Generator | None = None,
+    **acts: Any,
 ) -> Outcome:
     """Return what happens to a scene.
 
     scene : a graph, its distributions drawn by `rng`, or bodies.
     engine : "mujoco", "statics" (which knows no pushes: it judges the scene at rest) or "both".
     duration : seconds. early : stop as soon as the verdict is known; the trajectory is then short.
-    push, remove, add, tilt, shake, jitter : as the options of `derender simulate`; `what` says the same, read already.
+    acts : push, remove, add, tilt, shake, jitter, as of `derender simulate`; `what` says the same, read already.
     margin, forces : whether these are wanted.
     rng : of jitter and of what is a distribution; None: seed 0, and means.
 
@@ -96,7 +91,7 @@ def simulate_scene(
     if not 0.0 < duration <= LONGEST:
         raise DerenderError(f"duration is {duration!r}", None, f"give seconds, at most {LONGEST:g}")
     if what is None:
-        what = intervention(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
+        what = intervention(**acts)
     matter, axes = (scene, upright_axes(scene)) if isinstance(scene, Matter) else _of_graph(scene, rng)
     matter = what.apply(matter, axes, np.random.default_rng(0) if rng is None else rng)
     found = Equilibrium(matter) if engine != "mujoco" or margin or forces else None
@@ -186,7 +181,7 @@ def probability(
     duration: float = 2.0,
     jobs: int = 1,
     missed: float = 0.0,
-    **interventions: str | Sequence[str] | None,
+    **acts: Any,
 ) -> Chance:
     """Return how probable an event is over scenes, such as the draws of a posterior.
 
@@ -194,9 +189,9 @@ def probability(
         moves.
     until : stop as soon as the standard error is no greater, after 10 draws at least.
     missed : see `chance_of`; of a posterior, `Posterior.missed`.
-    interventions : push, remove, add, tilt, shake, jitter, as `simulate_scene` takes them.
+    acts : as of `simulate_scene`.
     """
-    what = intervention(**interventions)
+    what = intervention(**acts)
     bodies: set[str] = set()
     if isinstance(event, str):
         word = event

@@ -129,6 +129,9 @@ def test_interventions_are_read_and_faults_are_one_line(graph):
                   {"jitter": "2mm,1"}):  # fmt: skip
         with pytest.raises(DerenderError):
             intervention(**texts)
+    assert intervention(remove="red", push="red:+x:1N@1s").remove == ("red",)  # one alone is no list of letters
+    with pytest.raises(TypeError, match="tlt"):
+        intervention(tlt="10deg")
     for texts in ({"remove": ["blue"]}, {"push": ["blue:+x:1N@1s"]}, {"add": ["red:cube:5cm@floor"]}):
         with pytest.raises(DerenderError, match="called"):
             simulate_scene(graph, **texts)
