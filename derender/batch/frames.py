@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from derender.atomic import locked, make_folder, write_bytes
-from derender.camera.depth_file import Reading
+from derender.camera.depth_file import SUFFIXES, Reading
 from derender.camera.ros_bag import FRAME, bag_frames, is_bag
 from derender.errors import DerenderError, is_unicode
 from derender.json_text import parse_json
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from derender.camera.depth_file import DepthImage
     from derender.workflow import Request
 
-SUFFIXES = (".png", ".npy", ".npz", ".tif", ".tiff", ".exr")
 RESULT, LEDGER = "summary.json", "results.jsonl"  # a folder that holds one of them is a result, no folder of frames
 PNG_HEADER, PNG_DEPTH = b"\x89PNG\r\n\x1a\n", 24  # where the bits for one number stand in a PNG
 SETTLED = 1.0  # seconds for which a file has not changed: whoever writes it has finished

@@ -186,14 +186,8 @@ def export_bop(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
             continue
         number = len(entries) + 1
         pose = poses[vertex.name]
-        extent = np.asarray(size, float) * MILLIMETRES
-        entries.append(
-            {
-                "cam_R_m2c": pose[:3, :3].ravel().tolist(),
-                "cam_t_m2c": (pose[:3, 3] * MILLIMETRES).tolist(),
-                "obj_id": number,
-            }
-        )
+        extent, middle = np.asarray(size, float) * MILLIMETRES, pose[:3, 3] * MILLIMETRES
+        entries.append({"cam_R_m2c": pose[:3, :3].ravel().tolist(), "cam_t_m2c": middle.tolist(), "obj_id": number})
         models[str(number)] = {
             # Of the box that holds it: the diameter of a sphere or cylinder is a little less.
             "diameter": float(np.linalg.norm(extent)),

@@ -114,16 +114,9 @@ def score_scene(
                 pose[k, :3, :3] = np.roll(np.eye(3), 1, axis=0)
                 pose[k, :3, 3] = 1e9 * pose[k, :3, 2]
             gain = total - evaluator.load(solids._replace(pose=pose))
-        values_seen = residual[seen][np.isfinite(residual[seen])]
-        shares.append(
-            Share(
-                name,
-                int(seen.sum()),
-                float(per_pixel[seen].sum()),
-                float(gain),
-                float(np.median(values_seen)) if len(values_seen) else np.nan,
-            )
-        )
+        off = residual[seen & np.isfinite(residual)]
+        median = float(np.median(off)) if len(off) else np.nan
+        shares.append(Share(name, int(seen.sum()), float(per_pixel[seen].sum()), float(gain), median))
     return Score(float(total), tuple(shares))
 
 

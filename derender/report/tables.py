@@ -74,13 +74,8 @@ def cells(row: Mapping[str, Any]) -> list[str]:
     numbers = [f"{row[key] * scale:.{digits}f}" for key in ("mean", "sd", "q05", "q95")]
     if row["draws"].size == 1:
         return [name, numbers[0]]
-    return [
-        name,
-        *numbers,
-        number_or_dash(row["r_hat"], ".3f"),
-        number_or_dash(row["ess_bulk"], ".0f"),
-        number_or_dash(row["ess_tail"], ".0f"),
-    ]
+    health = (("r_hat", ".3f"), ("ess_bulk", ".0f"), ("ess_tail", ".0f"))
+    return [name, *numbers, *(number_or_dash(row[key], form) for key, form in health)]
 
 
 def number_or_dash(value: float | None, form: str) -> str:
