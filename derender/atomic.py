@@ -183,13 +183,14 @@ def make_folder(path: str | Path, room: int = 0) -> Path:
     """
     path = Path(path)
     try:
+        there = next(each for each in (path, *path.absolute().parents) if each.exists())
+        if room and (free := shutil.disk_usage(there).free) < room:
+            what = f"the disk is full: {free / 1e6:.1f} of the {room / 1e6:g} MB that are needed"
+            raise DerenderError(what, where=path, remedy="make room, or choose another place")
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError, RecursionError) as error:  # the last: of thousands of folders in one another
         reason = getattr(error, "strerror", None) or error
         raise DerenderError(f"the folder cannot be made: {reason}", where=path, remedy="choose another place") from None
     if not os.access(path, os.W_OK):
         raise DerenderError("the folder cannot be written to", where=path, remedy="choose another place")
-    if room and (free := shutil.disk_usage(path).free) < room:
-        what = f"the disk is full: {free / 1e6:.1f} of the {room / 1e6:g} MB that are needed"
-        raise DerenderError(what, where=path, remedy="make room, or choose another place")
     return path
