@@ -120,11 +120,9 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     evidence = posterior.best_part.extras.get("log_evidence", [0.0])
     if max(evidence) - min(evidence) > APART:
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
-    structures = posterior.meta.get("structure_chains", {})
     chains, draws, _ = posterior.best_part.values.shape
+    structures, rows = (posterior.meta.get("structure_chains", {}), rows) if draws >= 4 else ({}, ())
     faces = posterior.meta.get("faces", 0.0)
-    if draws < 4:
-        return (*map(Doubt, doubts), *told)
     over, shares = structures.get("r_hat"), structures.get("shares", [0.0])
     if over is not None and over > limits(chains * draws)[0]:
         doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")
