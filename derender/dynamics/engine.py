@@ -86,7 +86,6 @@ class Engine:
         self._worlds = [self._world(matter, interval / count) for count in self._steps]
         self._masses: tuple = ()
         self._rest: tuple = ()
-        self._contact_time = 0.0
 
     def _world(self, matter: Matter, step: float) -> World:
         world = World(matter, False, step / matter.period, moving=True)
@@ -114,7 +113,7 @@ class Engine:
                     dict.fromkeys([body.name for body in self._bodies], value) for value in rest[:2]
                 )
                 world.set_materials(friction, elasticity, material.contact_time)
-        self._masses, self._rest, self._contact_time = masses, rest, material.contact_time
+        self._masses, self._rest = masses, rest
 
     def advance(self, states: np.ndarray) -> np.ndarray:
         """Return the states (N, 13) one interval after `states` (N, 13); Diverged where it cannot.
@@ -124,7 +123,7 @@ class Engine:
         """
         after, hardest = self._advance(0, states)
         change = np.linalg.norm(after[:, 7:10] - states[:, 7:10] - self.gravity * self.interval, axis=1)
-        under_way = hardest * self._contact_time * 2 / np.pi
+        under_way = hardest * self._rest[2] * 2 / np.pi
         if max(change.max(), under_way) > IMPACT * float(np.linalg.norm(self.gravity)) * self.interval:
             after, _ = self._advance(1, states)
         return after

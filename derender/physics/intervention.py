@@ -10,7 +10,7 @@ from derender.errors import DerenderError, at_fault
 from derender.physics.bodies import Body, Matter
 from derender.registry import suggest
 from derender.scene.codec.yaml_nodes import parse_number
-from derender.scene.pose import from_rotation_vector
+from derender.scene.pose import from_rotation_vector, moved
 
 
 class Push(NamedTuple):
@@ -109,7 +109,11 @@ class Intervention(NamedTuple):
             bodies.append(_put_on(under, name, kind, size, place, axes))
             supports.append((name, parent))
         if self.jitter is not None:
-            bodies = [_displaced(body, *self.jitter, rng) if body.moves else body for body in bodies]
+            spread = np.repeat(self.jitter, 3)
+            bodies = [
+                body._replace(pose=moved(body.pose, spread * rng.normal(size=6))) if body.moves else body
+                for body in bodies
+            ]
         found = Matter(tuple(bodies), matter.gravity, tuple(supports))
         return found if self.tilt is None else tilted(found, self.tilt[0], axes @ self.tilt[1])
 
@@ -223,13 +227,6 @@ def _put_on(under: Body, name: str, kind: str, size: np.ndarray, place: tuple[fl
     pose[:3, :3] = axes
     pose[:3, 3] = under.pose[:3, 3] + axes @ np.array([*place, height + 0.5 * size[2]])
     return Body(name, kind, size, pose)
-
-
-def _displaced(body: Body, length: float, angle: float, rng: np.random.Generator) -> Body:
-    pose = np.array(body.pose)
-    pose[:3, :3] = from_rotation_vector(angle * rng.normal(size=3))[:3, :3] @ pose[:3, :3]
-    pose[:3, 3] += length * rng.normal(size=3)
-    return body._replace(pose=pose)
 
 
 def intervention(

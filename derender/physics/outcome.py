@@ -286,20 +286,18 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
     best : of the most probable scene. runs : of the draws; the scene's own alone where it is certain.
     assumed : sentences. missed : see `chance_of`.
     """
-    drawn = len(runs) > 1
-    stable = chance_of([run.stable for run in runs], missed=missed) if drawn else Chance(float(best.stable), 0.0, 1)
+
+    def chance(alone: bool, drawn: Sequence[bool], word: str) -> Chance:
+        return chance_of(drawn, BEFORE[word], missed) if len(runs) > 1 else Chance(float(alone), 0.0, 1)
+
+    stable = chance(best.stable, [run.stable for run in runs], STANDS)
     found: dict[str, Any] = {
         "verdict": best.verdict,
         "margin": best.margin,
         "stable": best.stable,
         "p_stable": stable.probability,
         "p_stable_error": stable.error,
-        "p_verdict": {
-            word: chance_of([run.verdict == word for run in runs], share, missed).probability
-            if drawn
-            else float(best.verdict == word)
-            for word, share in BEFORE.items()
-        },
+        "p_verdict": {w: chance(best.verdict == w, [run.verdict == w for run in runs], w).probability for w in BEFORE},
         "p_falls": {},
         "p_falls_error": {},
         "engines": best.by_engine,
@@ -314,10 +312,10 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
         if body.kind == "plane":
             continue
         there = [run for run in runs if any(other.name == body.name for other in run.matter.bodies)]
-        falls = [run.verdict == FALLS and body.name in run.fallen for run in there]
-        chance = chance_of(falls, BEFORE[FALLS], missed) if drawn else Chance(float(any(falls)), 0.0, 1)
-        found["p_falls"][body.name] = chance.probability if there else None
-        found["p_falls_error"][body.name] = chance.error if there else None
+        fell = [run.verdict == FALLS and body.name in run.fallen for run in there]
+        falls = chance(any(fell), fell, FALLS)
+        found["p_falls"][body.name] = falls.probability if there else None
+        found["p_falls_error"][body.name] = falls.error if there else None
     if all(len(run.by_engine) > 1 for run in runs):
         found["p_engines_agree"] = float(np.mean([_agree(run) for run in runs]))
     if best.trajectory is not None:

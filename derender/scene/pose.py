@@ -108,6 +108,14 @@ def from_rotation_vector(vector: Any) -> np.ndarray:
     return from_quaternion((math.cos(half), scale * x, scale * y, scale * z))
 
 
+def moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return a (4, 4) pose after a shift and a turn (6,) about its origin, both in the parent's axes."""
+    result = pose.copy()
+    result[:3, :3] = from_rotation_vector(change[3:])[:3, :3] @ pose[:3, :3]
+    result[:3, 3] += change[:3]
+    return result
+
+
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """Return the (3,) rotation vector, of length at most pi, of a (4, 4) pose or (3, 3) rotation."""
     quat = quaternion(rotation)

@@ -171,10 +171,10 @@ class Drawing:
 
     def outside(self, k: int) -> bool:
         """Whether thing k is drawn outside the image."""
-        x, y, z = self.poses[self.planes + k, :3, 3]
-        if z <= 0.0:
+        centre = self.poses[self.planes + k, :3, 3]
+        if centre[2] <= 0.0:
             return True
-        column, row = self.camera.fx * x / z + self.camera.cx, self.camera.fy * y / z + self.camera.cy
+        column, row = self.camera.project(centre)
         return not (0 <= column < self.camera.width and 0 <= row < self.camera.height)
 
     def left_behind(self, k: int) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.scene.friction import MEDIAN, SPREAD
-from derender.scene.pose import from_rotation_vector, rotation_vector
+from derender.scene.pose import moved, rotation_vector
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -108,14 +108,6 @@ def one_frame_later(hidden: Hidden, tracker: "Tracker", k: int) -> Hidden:
     return later
 
 
-def moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) after a shift and a turn (6,) about its centre, world axes."""
-    result = pose.copy()
-    result[:3, :3] = from_rotation_vector(change[3:])[:3, :3] @ pose[:3, :3]
-    result[:3, 3] += change[:3]
-    return result
-
-
 OFF = 5.0  # standard deviations nearer than what is drawn
 AT_LEAST = 0.008  # metres, and so much besides: contacts and edges are off by less
 SMALLEST = 25  # pixels: smaller patches are noise at edges
@@ -150,13 +142,8 @@ def blobs_of(tracker: "Tracker") -> list[Blob]:
 
 def centre_of(mask: np.ndarray, depth: np.ndarray, camera: "Camera") -> np.ndarray:
     """Return the middle (3,) of the points that some pixels show, robustly, camera axes."""
-    rows, columns = np.nonzero(mask)
-    z = depth[rows, columns]
-    middle = np.median(z)
-    kept = np.abs(z - middle) < 0.15
-    rows, columns, z = rows[kept], columns[kept], z[kept]
-    return np.array([np.mean((columns - camera.cx) / camera.fx * z), np.mean((rows - camera.cy) / camera.fy * z),
-                     np.mean(z)])  # fmt: skip
+    points = camera.points(depth)[mask]
+    return points[np.abs(points[:, 2] - np.median(points[:, 2])) < 0.15].mean(axis=0)
 
 
 def shifts_to(tracker: "Tracker", blobs: list[Blob], own: np.ndarray | None, pose: np.ndarray) -> list[np.ndarray]:

@@ -39,8 +39,9 @@ def motion_of_track(track: Track) -> Motion:
     of the model.
     """
     back = inverse(track.views)  # each camera to the first
-    handled = _held(track, back)
-    handled |= _pushed(track, back, handled)
+    everywhere = back[:, None] @ track.poses
+    handled = _held(track, everywhere[..., :3, 3])
+    handled |= _pushed(track, everywhere[..., :3, 3], handled)
     names: list[str] = []
     chosen: list[int] = []
     bodies: list[Body] = []
@@ -55,7 +56,7 @@ def motion_of_track(track: Track) -> Motion:
         bodies.append(Body(name, KIND_NAMES[int(track.kinds[k])], size, np.eye(4)))
     if not names:
         raise DerenderError("nothing moves by itself", None, "leave out --dynamics")
-    poses = back[:, None] @ track.poses[:, chosen]
+    poses = everywhere[:, chosen]
     away = np.array([[row[k] in (HIDDEN, LOST, GONE) for k in chosen] for row in track.states])
     poses[away.reshape(len(track.times), -1)] = np.nan
     # Centres turn with the camera; a turn about the camera's axes becomes one about the body's own.
@@ -71,9 +72,8 @@ def motion_of_track(track: Track) -> Motion:
     return motion_of(matter, tuple(names), track.times, poses, covariances)
 
 
-def _held(track: Track, back: np.ndarray) -> set[str]:
-    """Return the names of the things that a hand holds for a while."""
-    centres = (back[:, None] @ track.poses)[..., :3, 3]
+def _held(track: Track, centres: np.ndarray) -> set[str]:
+    """Return the names of the things that a hand holds for a while. centres : (T, N, 3), first camera's axes."""
     step, gravity = float(np.diff(track.times).mean()), np.asarray(track.gravity, float)
     apart = max(round(APART / step), 1)
     middle = centres[apart:-apart]
@@ -89,12 +89,11 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
     return held
 
 
-def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
+def _pushed(track: Track, centres: np.ndarray, handled: set[str]) -> set[str]:
     """Return the names of the things that something unseen sets in motion, or what such a thing has struck."""
     gravity = np.asarray(track.gravity, float)
     if track.floor is None or -track.floor[:3, 2] @ gravity < LEVEL_FLOOR * np.linalg.norm(gravity):
         return set()
-    centres = (back[:, None] @ track.poses)[..., :3, 3]
     shift = np.linalg.norm(np.nan_to_num(centres - centres[0]), axis=-1)
     first = [int(np.argmax(far > BEGUN)) for far in shift.T]  # 0: never
     reach = 0.5 * np.linalg.norm(track.sizes[-1], axis=-1)

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.render.raycast.normal_equations import cost
-from derender.scene.pose import inverse
+from derender.scene.pose import inverse, moved
 from derender.tracking.fit import RIGID
-from derender.tracking.hidden import moved
 from derender.tracking.thing import GONE, MOVING, STILL
 from derender.tracking.tracker import is_quiet, rotation_between
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from derender.detection.floor import frame_of
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
 from derender.tracking.thing import MOVING, STILL, Seen, Start, thing_of
@@ -57,14 +58,9 @@ class Track:
         return self.views @ (self.floor if self.floor is not None else upright(self.gravity))
 
 
-def upright(gravity: Any) -> np.ndarray:
+def upright(gravity: np.ndarray) -> np.ndarray:
     """Return a frame (4, 4) whose z axis points against gravity, far below everything."""
-    up = -np.asarray(gravity, float) / np.linalg.norm(gravity)
-    side = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = side, np.cross(up, side), up, -1000.0 * up
-    return pose
+    return frame_of(-gravity / np.linalg.norm(gravity), -1000.0, np.zeros(3))
 
 
 class Recorder:

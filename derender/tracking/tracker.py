@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.render.raycast.normal_equations import cost
-from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
+from derender.scene.pose import from_rotation_vector, inverse, moved, rotation_vector
 from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
-from derender.tracking.hidden import Blob, blobs_of, last_seen, moved, one_frame_later, shifts_to
+from derender.tracking.hidden import Blob, blobs_of, last_seen, one_frame_later, shifts_to
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
 
 if TYPE_CHECKING:
@@ -177,17 +177,15 @@ class Tracker(Drawing):
             curvature = self._search(k, expected, information, curvature)
             if self.unexplained(k):
                 self.take_as_usual(k, MORE_THAN_BEFORE)
-        fitting.pixels_of(self.misfit, self.counts, OFF)
-        seen = self.counts[self.planes + k]
-        wrong = (seen[2] + seen[3]) / max(seen[1], 1.0)
-        is_wrong = wrong > thing.usual_misfit + 2 * WRONG
-        thing.waiting = thing.waiting + 1 if is_wrong and seen[1] >= FEW else 0
+        is_wrong = self.wrong_share(k) > thing.usual_misfit + 2 * WRONG
+        shown = self.counts[self.planes + k, 1]
+        thing.waiting = thing.waiting + 1 if is_wrong and shown >= FEW else 0
         if thing.waiting >= GIVEN_UP:
             thing.state, thing.hidden = LOST, None
             self.place()
             cost(self.misfit, self.poses, self.sizes)
             return
-        if seen[1] < FEW or (is_wrong and thing.hidden is not None):
+        if shown < FEW or (is_wrong and thing.hidden is not None):
             thing.state = GONE if self.outside(k) else HIDDEN
             if thing.hidden is None:
                 thing.hidden = one_frame_later(last_seen(self, k), self, k)
@@ -411,9 +409,7 @@ class Tracker(Drawing):
                 loose[:6] = loose[:, :6] = 0.0
                 loose[:6, :6] = np.diag([0.05**-2] * 3 + [1.0] * 3)
                 curvature = self.fit_from_afar(k, start, loose, free=False)
-                fitting.pixels_of(self.misfit, self.counts, OFF)
-                seen = self.counts[index]
-                if seen[1] >= 2 * FEW and (seen[2] + seen[3]) / seen[1] < thing.usual_misfit + WRONG:
+                if self.wrong_share(k) < thing.usual_misfit + WRONG and self.counts[index, 1] >= 2 * FEW:
                     self._take(k, curvature)
                     self._moved(thing, before)
                     thing.velocity, thing.spin, thing.waiting, thing.state = np.zeros(3), np.zeros(3), 0, MOVING
