@@ -124,8 +124,9 @@ class MixtureSampler:
         for temperature, rounds in STAGES:
             tuning = tuning._replace(temperature=temperature)
             walks = in_threads(rng, [partial(self.walked, values=one, tuning=tuning, rounds=rounds) for one in starts])
-            names = walks[0].scale
-            means = {name: float(np.exp(np.mean([np.log(walk.scale[name]) for walk in walks]))) for name in names}
+            names = dict.fromkeys(name for walk in walks for name in walk.scale)  # some have not come to each kernel
+            means = {name: float(np.exp(np.mean([np.log(walk.scale.get(name, 1.0)) for walk in walks])))
+                     for name in names}  # fmt: skip
             if temperature < 1.0:
                 met = np.concatenate([walk.later for walk in walks])
                 hot = np.concatenate([spread_out(met, BORROWED), hot])[:MOST_BORROWED]

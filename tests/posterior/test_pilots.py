@@ -10,7 +10,7 @@ from derender.compilation.threads import THREADS_VARIABLE
 from derender.posterior import sampler
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.relocate import fitted, mixture_density
-from derender.posterior.sampler import MixtureSampler, Population, Settings
+from derender.posterior.sampler import MixtureSampler, Population, Settings, Walk
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
 from derender.scene.distributions import distributions
@@ -57,6 +57,21 @@ def test_the_tower_in_the_image_is_found(seed):
     backend = made.backend()
     best = max(sum(backend.evaluate(place)) for place in prepared.places[::20])
     assert best > sum(backend.evaluate(truth)) - 8.0
+
+
+def test_a_walk_that_never_came_to_a_kernel_leaves_its_steps_as_they_were(monkeypatch):
+    """Of many kernels a short walk tries some alone: with 18 cartons of known size inference ended in a KeyError."""
+
+    def walked(self, rng, values, tuning, rounds, taken=0):
+        came = {"drift a.contact": 4.0} if values[0] > 0.0 else {}
+        return Walk(np.tile(values, (rounds, 1)), 0.0, {**tuning.scale, **came})
+
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    monkeypatch.setattr(MixtureSampler, "walked", walked)
+    places = np.array([[-0.6], [0.6]])
+    learned = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), places=places).prepared(0).learned
+    assert 1.0 < learned.scale["drift a.contact"] <= 4.0
 
 
 @pytest.mark.parametrize("likelier", [0, 1])
