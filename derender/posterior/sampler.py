@@ -119,25 +119,30 @@ class MixtureSampler:
         """Return the sampler with typical places that walks met together, and the steps that fit them."""
         rng, space, prepared = np.random.default_rng([seed, 3]), self.target.space, copy(self)
         places = self.first_places(rng)
-        starts, hot, kept = places[:WALKS], places[:0], list[Walk]()
-        tuning = fitted_to(space, first_tuning(space, places[0]), places, hot)
-        for temperature, rounds in STAGES:
+        starts, borrowed, kept = places[:WALKS], places[:0], list[Walk]()
+        tuning = fitted_to(space, first_tuning(space, places[0]), places, borrowed)
+        height, rise = -math.inf, math.inf
+        for number, (temperature, rounds) in enumerate((*STAGES, *[ARRIVING] * MOST_ARRIVING)):
+            if number > len(STAGES) and rise < ARRIVED:
+                break
             tuning = tuning._replace(temperature=temperature)
             walks = in_threads(rng, [partial(self.walked, values=one, tuning=tuning, rounds=rounds) for one in starts])
             names = dict.fromkeys(name for walk in walks for name in walk.scale)  # some have not come to each kernel
             means = {name: float(np.exp(np.mean([np.log(walk.scale.get(name, 1.0)) for walk in walks])))
                      for name in names}  # fmt: skip
-            if temperature < 1.0:
+            if number < len(STAGES):
                 met = np.concatenate([walk.later for walk in walks])
-                hot = np.concatenate([spread_out(met, BORROWED), hot])[:MOST_BORROWED]
-            else:
+                borrowed = np.concatenate([spread_out(met, BORROWED), borrowed])[:MOST_BORROWED]
+            if temperature == 1.0:
                 both = [*kept, *walks]
                 heights = np.array([walk.height for walk in both])
                 walks = kept = [both[k] for k in systematic(rng, np.exp(heights - heights.max()), WALKS)]
+                former, height = height, float(np.mean([walk.height for walk in kept]))
+                rise = height - former
                 places = np.concatenate([places[len(places) // 2 :], *(walk.later for walk in kept)])
             starts = np.array([walk.later[-1] for walk in walks])
-            tuning = fitted_to(space, tuning._replace(scale=means), places, hot)
-        prepared.places, prepared.learned = places, tuning
+            tuning = fitted_to(space, tuning._replace(scale=means), places, borrowed)
+        prepared.places, prepared.learned = np.concatenate([walk.later for walk in kept]), tuning
         return prepared
 
     def first_places(self, rng: np.random.Generator) -> np.ndarray:
@@ -338,18 +343,20 @@ LOCAL = ("drift", "slide")  # kernels that move a starting population
 START_STEPS = 40  # of the mixture, for each particle and temperature
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
 # Temperature and rounds of the walks from there, one stage after the other: where the likelihood counts less narrow
-# modes are wide, and what was met there leads the next walks, one object at a time, from one mode to others.
+# modes are wide, and what all of them met leads the next walks, one object at a time, from one mode to others.
 STAGES = ((1.0, 20), *((0.1, 10), (0.3, 10), (1.0, 40)) * 4)
+# And further ones, at most so many: until their mean log density rises by fewer nats from one to the next.
+ARRIVING, MOST_ARRIVING, ARRIVED = (1.0, 80), 6, 3.0
 STRETCH = 5  # rounds between two adaptations of scales
 POPULATIONS, WALKS = 4, 8  # counts
-KEPT, BORROWED, MOST_BORROWED = 144, 16, 64  # places that an archive keeps: cold ones; of each hot stage, and of all
+KEPT, BORROWED, MOST_BORROWED = 144, 16, 160  # places that an archive keeps: last ones; of each stage, and of all
 ENOUGH = 20  # places from which on their spread says more than the prior's
 
 
-def fitted_to(space: Space, tuning: Tuning, places: np.ndarray, hot: np.ndarray) -> Tuning:
-    """Return the tuning with an archive of places (n, P) and of hot ones (m, P), and with the centre and the spread of
+def fitted_to(space: Space, tuning: Tuning, places: np.ndarray, borrowed: np.ndarray) -> Tuning:
+    """Return the tuning with an archive of places (n, P) and of others (m, P), and with the centre and the spread of
     the former where they are enough."""
-    tuning = tuning._replace(archive=np.concatenate([spread_out(places, KEPT), hot]))
+    tuning = tuning._replace(archive=np.concatenate([spread_out(places, KEPT), borrowed]))
     if len(places) < ENOUGH:
         return tuning
     centre = centre_of(space, places)

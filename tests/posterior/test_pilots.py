@@ -87,6 +87,22 @@ def test_populations_count_by_their_evidence(likelier, monkeypatch):
     assert set(made.first_places(np.random.default_rng(0)).ravel()) == {likelier}
 
 
+@pytest.mark.parametrize("slope, more", [(10.0, sampler.MOST_ARRIVING), (0.0, 1)])
+def test_walks_go_on_until_their_density_has_settled(slope, more, monkeypatch):
+    """Of two decks on uneven piers a chain was kept 1,300 nats below the others, where its walk had not arrived."""
+    world, counted = two_modes(), []
+
+    def rising(self, rng, values, tuning, rounds):
+        counted.append(1)
+        return sampler.Walk(np.tile(values, (rounds // 2, 1)), slope * len(counted), {})
+
+    monkeypatch.setattr(MixtureSampler, "walked", rising)
+    monkeypatch.setenv(THREADS_VARIABLE, "1")
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    MixtureSampler(target, mixture(world.space, [{"drift": {}}]), places=np.array([[0.6]])).prepared(2)
+    assert len(counted) == sampler.WALKS * (len(sampler.STAGES) + more)
+
+
 @pytest.mark.parametrize("size", [2, 3])
 def test_place_mixture_is_a_density_around_the_seam(size):
     """Drawn as the kernel draws, E[f / q] over a box is its volume: the same constant for any box, also at the seam."""

@@ -7,7 +7,7 @@ narrow.
 import functools
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from derender.compilation.cache import njit
 from derender.posterior.compiled.prior import wrap
 from derender.posterior.kernels.base import PLACING, KernelType, kernels
 from derender.posterior.space import Block, Space
-
-if TYPE_CHECKING:
-    pass
 
 DEGREES = 5  # of freedom of each component: heavier tails than an image's posterior
 NEIGHBOURS = 16  # among the other places; a mode that holds as many has components of its own shape

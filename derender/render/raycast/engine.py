@@ -16,7 +16,7 @@ in either way, so an incremental value equals the full one but for the order of 
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,9 +80,6 @@ from derender.render.raycast.state import (
     taps_of,
 )
 from derender.scene.solids import MESH
-
-if TYPE_CHECKING:
-    pass
 
 
 def _make_blur(radius: int) -> Kernel:
