@@ -205,7 +205,7 @@ def _table(
 ) -> int:
     """Simulate many scenes, print or write their table, and return 1 where one could not be."""
     from derender.atomic import write_text
-    from derender.physics.outcome import COLUMNS, failed_row, row_of
+    from derender.physics.outcome import COLUMNS, row_of
     from derender.report.tables import text_table
     from derender.results.table import as_csv, as_lines
 
@@ -215,7 +215,7 @@ def _table(
             rows.append(row_of(path, _one(path, what, ask, margin or as_json, False, Talk(-1))[0]))
         except DerenderError as error:
             talk.warn(f"{path}: {error}")
-            rows.append(failed_row(path, str(error)))
+            rows.append(row_of(path, {"fault": str(error)}))
     if output is not None:
         write_text(output, as_csv(rows, COLUMNS) if output.lower().endswith(".csv") else as_lines(rows))
         talk.say(f"wrote {output}")

@@ -167,7 +167,7 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts
     errors = shooting.errors(path, scales, doubts)
     precision = log_marginal(shooting, path, derivatives, errors, False)[1]
     covariance = np.linalg.inv(precision)
-    ways = shooting.first
+    ways = block_diag(*shooting.ways[: shooting.count])  # of the states in the first frame
     first = ways @ covariance[: ways.shape[1], : ways.shape[1]] @ ways.T
     less = None if doubts is None else doubts.blows
     learnt = shooting.doubts(path, errors, scales, derivatives[1], covariance, less)

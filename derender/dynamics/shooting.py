@@ -11,7 +11,7 @@ linear in the states, these integrate out: that is the marginal likelihood of th
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
@@ -116,11 +116,6 @@ class Shooting(Impacts):
     def struck(self) -> bool:
         """Whether the engine may meet an impact: tracking shows one, something is in the air, or may strike another."""
         return self.count > 1 and not self.apart or any(plane is None for plane in self.planes)
-
-    @property
-    def first(self) -> np.ndarray:
-        """(12 N, S), changes of the states in the first frame by the S unknowns of their cuts."""
-        return block_diag(*self.ways[: self.count])
 
     def first_path(self, coordinates: np.ndarray) -> Path:
         """Return a path whose states at the cuts are tracked, with velocities of the frames that follow."""

@@ -346,12 +346,9 @@ class World:
                 if apart @ apart > (reach[a] + reach[b] + widest) ** 2:
                     continue
             names = frozenset(self.names[self._index_of_geom[geom]] for geom in (a, b))
-            gap = self._distance(a, b, 2 * widest)
+            gap = mujoco.mj_geomDistance(self.model, self.data, int(a), int(b), 2 * widest, None)
             if gap <= (widest if names in joined else TOUCHING * self._long):
                 self.model.pair_margin[k] = gap + ENGAGED * self._long
-
-    def _distance(self, a: Any, b: Any, limit: float) -> float:
-        return float(mujoco.mj_geomDistance(self.model, self.data, int(a), int(b), limit, None))
 
     def _start(self) -> None:
         """Set the speeds at the start and compute forces."""

@@ -328,15 +328,9 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
 
 
 def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the row of a scene in a table of many."""
-    row = dict.fromkeys(COLUMNS) | {"scene": name}
-    row |= {key: found[key] for key in ("verdict", "stable", "p_stable", "p_stable_error", "margin")}
-    return row | {"fallen": " ".join(found["fallen"])} | dict(found["engines"])
-
-
-def failed_row(name: str, fault: str) -> dict[str, Any]:
-    """Return the row of a scene that could not be simulated."""
-    return dict.fromkeys(COLUMNS) | {"scene": name, "fault": fault}
+    """Return the row of a scene in a table of many; of one that could not be simulated, `found` has a `fault` alone."""
+    row = dict.fromkeys(COLUMNS) | {"scene": name} | {key: found[key] for key in COLUMNS if key in found}
+    return row if "fault" in found else row | {"fallen": " ".join(found["fallen"])} | dict(found["engines"])
 
 
 def _agree(run: Outcome) -> bool:

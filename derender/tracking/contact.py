@@ -48,7 +48,6 @@ def evidence(gaps: np.ndarray, spread: np.ndarray, resting: np.ndarray) -> np.nd
     resting : (T, N) bool, what does not move.
     """
     told = np.full(gaps.shape, NO_SUPPORT)
-    told[:, :, NOTHING] = 0.0
     near = np.isfinite(gaps)
     slack = np.where(resting, SLACK_AT_REST, SLACK)
     sigma = np.sqrt(spread**2 + slack**2)[:, :, None]

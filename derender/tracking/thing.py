@@ -115,8 +115,7 @@ def start_from(posterior: "Posterior", rng: np.random.Generator) -> Start:
     draws = [g for g in posterior.graphs(rng, DRAWS) if g.names == graph.names]
     things = [thing_of(graph, draws, vertex.name) for vertex in graph.vertices if vertex.shape in TIES]
     told = dict(posterior.meta.get("likelihood", {}))
-    correlation = float(posterior.meta.get("correlation", 0.0) or 0.0)
-    correlation = min(max(correlation, 0.0), 0.75)
+    correlation = min(max(float(posterior.meta.get("correlation") or 0.0), 0.0), 0.75)
     return Start(
         things,
         poses[planes[0]] if planes else None,

@@ -63,6 +63,11 @@ def upright(gravity: np.ndarray) -> np.ndarray:
     return frame_of(-gravity / np.linalg.norm(gravity), -1000.0, np.zeros(3))
 
 
+def new_name(kind: str, taken: set[str]) -> str:
+    """Return a name for a thing of a kind that no other has."""
+    return next(name for n in range(1, len(taken) + 2) if (name := f"{kind}_{n}") not in taken)
+
+
 class Recorder:
     """Follows frame after frame and keeps what was found, so that a growing film can be told of at any time.
 
@@ -135,7 +140,7 @@ class Recorder:
             if float(free[mine].mean()) < SHARE:
                 continue
             thing = thing_of(graph, [], name)
-            thing.name = self._new_name(thing.type)
+            thing.name = new_name(thing.type, {other.name for other in self.tracker.things})
             spread = np.repeat(ENTERING, [3, 3, len(thing.ties)])
             thing.covariance = np.diag(spread**2)
             thing.pose = np.linalg.inv(self.tracker.view) @ thing.pose
@@ -143,10 +148,6 @@ class Recorder:
             self.tracker.add(thing, depth)
             found = True
         return found
-
-    def _new_name(self, kind: Any) -> str:
-        taken = {thing.name for thing in self.tracker.things}
-        return next(name for n in range(1, len(taken) + 2) if (name := f"{kind}_{n}") not in taken)
 
     def track(
         self, times: np.ndarray | None = None, frames: list[str] | None = None, before: "Recorder | None" = None
@@ -157,9 +158,8 @@ class Recorder:
         late = [] if before is None else before.tracker.things[len(tracker.start.things) :]
         taken = {thing.name for thing in things}
         for thing in late:
-            name = next(n for k in range(1, 1000) if (n := f"{thing.type}_{k}") not in taken)
-            taken.add(name)
-            things.append(thing.copy(name=name))
+            things.append(thing.copy(name=new_name(thing.type, taken)))
+            taken.add(things[-1].name)
         shared = len(tracker.start.things)
         rows = [(frame, size, list(range(own))) for frame, size in zip(self.seen, self.sizes, strict=True)]
         if before is not None:
