@@ -69,7 +69,13 @@ class Candidate(NamedTuple):
 
 
 def find_floor(depth: np.ndarray, camera: Camera | dict[str, float], believed: Floors | None = None) -> Floor:
-    """Return the Floor about the likeliest of the Candidates; takes and raises what `floors_of` does."""
+    """Find the plane that most likely is the floor: a large one that faces the image's upper edge.
+
+    depth : (H, W) float metres, NaN = no return.
+    believed : Floors of a prior; None: those of the built-in one.
+
+    Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
+    """
     return fitted(depth, back_project(depth, camera), floors_of(depth, camera, None, believed)[0])
 
 
@@ -89,10 +95,7 @@ def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any
     """Return the Candidates that come near the likeliest one, that first.
 
     gravity : (3,) the way things fall in the camera's frame, where it is known: then a level plane is the floor if
-        enough lies on one.
-    depth : (H, W) float metres, NaN = no return. believed : Floors of a prior; None: those of the built-in one.
-
-    Raises DerenderError where fewer than 50 pixels have depth, NoFloor where no plane is likely one.
+        enough lies on one. Takes and raises else what `find_floor` does.
     """
     believed = bare_image().loose.floor if believed is None else believed
     points = back_project(depth, camera)
@@ -206,12 +209,15 @@ def odds_of_floors(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, off
     sample : (S, 3) points. near : (S,) metres, see `tolerance_of`.
     """
     score, share = scores(sample, near, normal, offset, believed.under)
+    below = below_a_top(normal, score, share, (share - score) / believed.under)
     if (score > SMALL_FLOOR).any():
         score = np.where(score > SMALL_FLOOR, score, 0.0)
     level = np.zeros(len(normal), bool)
     if gravity is not None:
         level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
     odds = believed.share * np.log(np.maximum(score, SMALL)) + prior_of(normal, offset, bool(level.any()), believed)
+    if not level.any():
+        odds = np.where(below, odds + np.log(believed.upside_down / believed.ceiling), odds)
     return np.where(level, odds, -np.inf) if level.any() else odds, share
 
 
@@ -229,6 +235,21 @@ def prior_of(normal: np.ndarray, offset: np.ndarray, level: bool, believed: Floo
     downwards = np.where(y > STEEP, believed.ceiling, believed.upside_down)
     turned = np.where(x > np.abs(y), believed.aside, np.where(y > 0.0, downwards, 1.0))
     return odds + np.log(np.where(np.hypot(x, y) < FACING, believed.faced, turned))
+
+
+def below_a_top(normal: np.ndarray, score: np.ndarray, share: np.ndarray, under: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which planes face steeply downwards where another faces up, square to them and behind them.
+
+    That is rather a box's side below its top than the floor of a camera held upside down: a wall stands before a floor.
+    normal (N, 3), score, share and under (N,) : of planes, see `scores`, and the share far under them.
+    """
+    downwards = (normal[:, 1] > STEEP) & (np.abs(normal[:, 0]) <= normal[:, 1])
+    tops = (score > FLOOR_SHARE) & (-normal[:, 1] > UPWARD)
+    if not (downwards.any() and tops.any()):
+        return np.zeros(len(normal), bool)
+    top = int(np.argmax(np.where(tops, score, -np.inf)))
+    behind = under > 0.5 * share[top]
+    return downwards & behind & (np.abs(normal @ normal[top]) < SQUARE)
 
 
 def scores(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, offset: np.ndarray,
@@ -262,7 +283,7 @@ def find_backdrop(depth: np.ndarray, camera: Any, believed: Floors | None = None
     or beyond; or None. It reaches three sides of the image: a solid that does would fill it.
     """
     try:
-        plane = find_floor(depth, camera, believed)
+        plane = find_floor(depth, camera, believed=believed)
     except DerenderError:
         return None
     seen = np.isfinite(depth) & (depth > 0)
