@@ -157,11 +157,8 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
     surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
     asked = settings.price / settings.temper  # of a solid, in nats of the likelihood
-    return (
-        two.state
-        if likely > max(alone, surface) + asked and not parts_of_one(two.state, i, FLUSH * seen.scale)
-        else None
-    )
+    better = likely > max(alone, surface) + asked and not parts_of_one(two.state, i, FLUSH * seen.scale)
+    return two.state if better else None
 
 
 def parts_of_one(state: State, i: int, flush: float) -> bool:
