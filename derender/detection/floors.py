@@ -69,13 +69,7 @@ class Candidate(NamedTuple):
 
 
 def find_floor(depth: np.ndarray, camera: Camera | dict[str, float], believed: Floors | None = None) -> Floor:
-    """Find the plane that most likely is the floor: a large one that faces the image's upper edge.
-
-    depth : (H, W) float metres, NaN = no return.
-    believed : Floors of a prior; None: those of the built-in one.
-
-    Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
-    """
+    """Return the Floor about the likeliest of the Candidates; takes and raises what `floors_of` does."""
     return fitted(depth, back_project(depth, camera), floors_of(depth, camera, None, believed)[0])
 
 
@@ -95,7 +89,10 @@ def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any
     """Return the Candidates that come near the likeliest one, that first.
 
     gravity : (3,) the way things fall in the camera's frame, where it is known: then a level plane is the floor if
-        enough lies on one. Takes and raises else what `find_floor` does.
+        enough lies on one.
+    depth : (H, W) float metres, NaN = no return. believed : Floors of a prior; None: those of the built-in one.
+
+    Raises DerenderError where fewer than 50 pixels have depth, NoFloor where no plane is likely one.
     """
     believed = bare_image().loose.floor if believed is None else believed
     points = back_project(depth, camera)
