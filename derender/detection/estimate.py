@@ -24,10 +24,9 @@ from derender.detection.things import BAD, likely_things, take_things, without_b
 from derender.errors import DerenderError
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
-# Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent; by
-# how many times more columns than usual are looked at for them.
-ENOUGH, FEW, FINEST = 2500, 500, 2.0
-WIDEST = 160  # columns of the image that is searched
+# Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent.
+ENOUGH, FEW = 2500, 500
+WIDEST, MOST = 160, 320  # columns of the image that is searched, and where few of its pixels show something
 RELUCTANT = 20.0  # nats by which a free-form thing must be better than solids that are not searched for to the end
 AGAIN = 2  # searches more, at most, of an image of independent noise that solids do not explain
 SPECKLED = 0.8  # share of the neighbours of pixels with a depth that have one too: of fewer no surfaces can be made
@@ -51,6 +50,9 @@ def point_estimate(
     """
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
     state, seen = on_one_floor(rng, depth, camera, settings, pool, plane)
+    if seen.things and settings.tries > 1 and closer_tells(seen, depth):
+        pool.clear()
+        state, seen = on_one_floor(rng, depth, camera, settings, pool, plane, least=MOST)
     below = floor_below(seen) if plane is None and not (len(state) or seen.things or seen.interrupted) else None
     if below is None:
         return state, seen
@@ -63,6 +65,15 @@ def point_estimate(
         return state, seen
     pool[:] = others
     return higher, other
+
+
+def closer_tells(seen: Observation, depth: np.ndarray) -> bool:
+    """Whether free-form things may be solids as they look in a reduced image of independent noise.
+
+    A block across an edge errs by more than its noise. A free form explains that and a solid does not: a cube in 560
+    blocks is 40 nats the worse for it.
+    """
+    return seen.correlation <= CORRELATED and not seen.interrupted and reduced_by(depth, MOST) < seen.factor
 
 
 def explained(seen: Observation, state: State) -> float:
@@ -80,8 +91,9 @@ def on_one_floor(
     pool: list[tuple[State, float]],
     plane: Any,
     correlation: float | None = None,
+    least: int = 0,
 ) -> tuple[State, Observation]:
-    """As `point_estimate`, over the floor that is given or found.
+    """As `point_estimate`, over the floor that is given or found, in an image of at `least` so many columns.
 
     correlation : of its noise, where so little of that floor shows that it does not tell, for what stands there fills
         the view; None: it tells.
@@ -94,7 +106,7 @@ def on_one_floor(
             coarser = observe(depth, camera, WIDEST // 2, plane, settings.may_float, believed=floor)
             seen = coarser if coarser.no_floor else seen
         return State(), with_freestanding(seen, settings)
-    wanted = width_wanted(seen)
+    wanted = max(width_wanted(seen), least)
     if reduced_by(depth, wanted) != seen.factor:
         same = Support.over(seen.floor) if seen.rivals else plane  # the choice among floors is made once
         with contextlib.suppress(NoFloor):  # it is one in this resolution
@@ -193,4 +205,4 @@ def width_wanted(seen: Observation) -> int:
     if seen.mask.mean() > FILLED:
         return WIDEST // 2
     enough = ENOUGH if seen.correlation > CORRELATED else FEW
-    return int(WIDEST * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, FINEST))
+    return int(WIDEST * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, MOST / WIDEST))

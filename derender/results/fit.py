@@ -228,14 +228,14 @@ def explain(
     tolerance = np.maximum(np.maximum(NEAR, NEAR_SHARE * filled), NOISES * noise)
     if background is not None:
         behind = background & valid & ((label < 0) | (hides & (depth > filled + tolerance)))
-        depth[behind] = smooth_surface(filled, behind)[0][behind]
+        depth[behind] = smooth_surface(filled, behind)[behind]
         label[behind] = BACKGROUND
     with np.errstate(invalid="ignore"):
         off = np.abs(depth - filled)
     missed = (label == FLOOR) & valid & (off > tolerance)
     if bent is not None:
         floor = bent & missed & (off < MOST_BENT * filled)
-        depth[floor] = smooth_surface(filled, floor)[0][floor]
+        depth[floor] = smooth_surface(filled, floor)[floor]
         missed &= ~floor
     missed &= off * slants(graph, index, camera) > tolerance
     label[missed], depth[missed] = UNEXPLAINED, np.nan
@@ -275,10 +275,9 @@ def grow(label: np.ndarray, depth: np.ndarray, seen: np.ndarray, free: np.ndarra
 
 @njit(cache=True, nogil=True)
 def smooth_surface(depth, mask):
-    """Return the mean (H, W) over a window of those pixels of the mask that lie on the same surface, 0 outside it, and
-    the share (H, W) that each pixel has in its own: so much of its noise the mean explains."""
+    """Return (H, W) the mean over a window of those pixels of the mask that lie on the same surface; 0 outside it."""
     height, width = depth.shape
-    out, share = np.zeros((height, width)), np.zeros((height, width))
+    out = np.zeros((height, width))
     for j in range(height):
         for i in range(width):
             if not mask[j, i]:
@@ -289,5 +288,5 @@ def smooth_surface(depth, mask):
                     if mask[v, u] and abs(depth[v, u] - depth[j, i]) < STEP * depth[j, i]:
                         total += depth[v, u]
                         count += 1
-            out[j, i], share[j, i] = total / count, 1.0 / count
-    return out, share
+            out[j, i] = total / count
+    return out

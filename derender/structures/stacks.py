@@ -153,7 +153,7 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     ones = [state, *(upright.changed(i, row=row) for row in rows)]
     one, alone = likeliest(climbed(ones, (i,)), (i,))
     left = make_chart(state.without(i), floor, rules)
-    free = np.where(shown, smooth_surface(seen.image.depth, shown)[0], model_depth(*left, view.camera))
+    free = np.where(shown, smooth_surface(seen.image.depth, shown), model_depth(*left, view.camera))
     numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
     surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
     asked = settings.price / settings.temper  # of a solid, in nats of the likelihood

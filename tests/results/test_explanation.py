@@ -50,14 +50,11 @@ def test_noise_about_the_floor_is_the_floor(graph, seen):
 
 def test_the_background_is_smoothed_but_not_across_its_steps():
     rng = np.random.default_rng(0)
-    true = np.where(np.arange(160)[None] < 20, 1.0, 1.5)
-    depth = true + 0.002 * rng.standard_normal((120, 160))
-    smooth, share = smooth_surface(depth, np.ones(depth.shape, bool))
-    off = smooth - true
+    depth = np.where(np.arange(40)[None] < 20, 1.0, 1.5) + 0.002 * rng.standard_normal((30, 40))
+    smooth = smooth_surface(depth, np.ones(depth.shape, bool))
+    off = smooth - np.where(np.arange(40)[None] < 20, 1.0, 1.5)
     assert 0.0002 < off.std() < 0.0009
-    assert (smooth_surface(depth, np.zeros(depth.shape, bool))[0] == 0.0).all()
-    left = ((depth - smooth) / 0.002) ** 2  # of the noise, less what each pixel's share in its own mean explains of it
-    assert abs(np.mean(left + share) - 1.0) < 4.0 * np.sqrt(2.0 / left.size) < 1.0 - left.mean()
+    assert (smooth_surface(depth, np.zeros(depth.shape, bool)) == 0.0).all()
 
 
 def test_a_floor_that_the_sensor_bends_is_explained_as_it_is_seen(graph, seen):
