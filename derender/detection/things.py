@@ -10,7 +10,6 @@ bowl is not eight of them.
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
@@ -166,6 +165,8 @@ def cost_of(seen: Observation, believed: Things) -> Cost:
     smooth = smooth_surface(seen.image.depth, mask)
     misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
     if seen.correlation <= CORRELATED:
+        from scipy.ndimage import uniform_filter
+
         about, many = (uniform_filter(values, SOME) for values in (np.where(mask, misfit, 0.0), mask.astype(float)))
         misfit = np.maximum(about / np.maximum(many, 1.0 / SOME**2), NOISE)
     return Cost(area, crease, misfit, normal, believed)

@@ -36,6 +36,7 @@ from derender.structures.draws.refined import (
     at_mode,
     chains_of,
     floor_pose_of,
+    height,
     only_draw,
     pixels_of,
     refine,
@@ -159,18 +160,19 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
     """
     rules, shapes = settings.rules, settings.shapes
     best, others = first, []
-    for found_by, most in ((merges, MOST_MERGES), (recuts, MOST_CUTS), (put_on, MOST_CUTS)):
+    for found_by, most in ((merges, MOST_MERGES), (recuts, MOST_CUTS)):
         for _ in range(most):
             former = best
             best, others = leading(best, [*others, *found_by(rng, best, rules)])
             if best is former:
                 break
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
-        best = climbed_higher(rng, best)
-        former, others = one_solid_each(rng, best, others, rules, shapes)
+        higher = climbed_higher(rng, best)
+        former, others = one_solid_each(rng, higher, lowered(others, best, higher), rules, shapes)
         near = [] if number else from_search(former, pool, energy, settings.temper)
         near += additions(rng, former, settings)  # with those of the search: the integral over the best is made once
-        others += [*weighed_whole(rng, former, near, rules, QUICK), *merges(rng, former, rules)]
+        others += weighed_whole(rng, former, near, rules, QUICK)
+        others += [*merges(rng, former, rules), *put_on(rng, former, rules)]
         best, others = leading(former, others)
         if made is not None and best is former:
             others = surest_of_each(others)
@@ -179,7 +181,8 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
             best, others = leading(best, found)
         if best is former:
             break
-        best = with_sensor_refitted(rng, best)
+        higher = with_sensor_refitted(rng, best)
+        best, others = higher, lowered(others, best, higher)
     names = names_of(best.state)
     found = {structure_key(best.state, names): (best, 0.0, names, 0.0)}
     alike: dict[tuple, list] = {}
@@ -214,10 +217,15 @@ def one_solid_each(
             k, left, tries, against = k + 1, left - 1, tries - 1, best
             best, others = leading(best, [*others, *weighed])
             if best is not against:  # what the next solids' changes were weighed against
-                best = with_sensor_refitted(rng, best)
-                left = len(best.state)
+                higher = with_sensor_refitted(rng, best)
+                best, others, left = higher, lowered(others, best, higher), len(higher.state)
                 break
     return best, others
+
+
+def lowered(others: list[Weighed], best: Refined, higher: Refined) -> list[Weighed]:
+    """Return the Weighed of others against what a climb of the best led to."""
+    return [each._replace(odds=each.odds - (height(higher) - height(best))) for each in others]
 
 
 def leading(best: Refined | str, others: list[Weighed]) -> tuple[Refined | str, list[Weighed]]:

@@ -44,14 +44,13 @@ def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
-    """Return the Weighed of two neighbouring boxes being one."""
-    state = best.state
-    tasks = []
-    for i in range(len(state)):
-        for j in range(len(state)):
-            if i == j or int(state.rows[i][0]) != BOX or int(state.rows[j][0]) != BOX:
-                continue
-            if FREE in (state.forms[i], state.forms[j]) or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
+    """Return the Weighed of an upright box being one with a smaller one beside it, or, but where neighbouring pixels
+    share noise, with whatever is there: a ball may stand for what a box too narrow leaves unexplained."""
+    state, tasks = best.state, []
+    boxes = [k for k in range(len(state)) if int(state.rows[k][0]) == BOX and state.forms[k] == UPRIGHT]
+    for i in boxes:
+        for j in range(len(state)) if best.sensor.worth >= 1.0 else boxes:
+            if i == j or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
                 continue
             if penetration(grown(state.rows[i], NEIGHBOURS), state.rows[j]) > 0.0:
                 tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
