@@ -43,7 +43,9 @@ APART = 5.0  # nats between the evidences of populations that a few lucky partic
 # answers without a lesser thing .97 were there (106 answers to labelled real frames; .94 of all), of such things .97.
 LEAST_EXISTENCE, SURE_EXISTENCE = 0.6, 0.75
 MOST_NONE, FEW = 1.0, 0.05  # objects, and share of them, of which as many may be expected to be none
-OFF = 0.25  # of an object's length: by less its place, and what there is, are told all the same (an IoU of .6)
+OFF = (
+    0.1  # of an object's length: by less a real sensor tells its place, and what there is, all the same (an IoU of .8)
+)
 
 
 class Doubt(NamedTuple):
@@ -137,7 +139,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         words += "" if np.isinf(most) else f", which leave {1000 * most:.1f} mm open"
         names = {row["address"].partition(".")[0] for row in bad if left_open(posterior, row) >= faces}
         own = names if np.isfinite(most) else None  # else of the root or the likelihood
-        far = any(left_open(posterior, row) > OFF * size_of(posterior, row).max() for row in bad)
+        far = any(left_open(posterior, row) > (OFF * size_of(posterior, row).max() if faces else 0.0) for row in bad)
         told.append(Doubt(f"{words}; --draws {enough_draws(bad)} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
 
