@@ -43,9 +43,7 @@ APART = 5.0  # nats between the evidences of populations that a few lucky partic
 # answers without a lesser thing .97 were there (106 answers to labelled real frames; .94 of all), of such things .97.
 LEAST_EXISTENCE, SURE_EXISTENCE = 0.6, 0.75
 MOST_NONE, FEW = 1.0, 0.05  # objects, and share of them, of which as many may be expected to be none
-OFF = (
-    0.1  # of an object's length: by less a real sensor tells its place, and what there is, all the same (an IoU of .8)
-)
+OFF = 0.1  # of an object's length: by less a real sensor tells its place, and what there is (an IoU of .8)
 
 
 class Doubt(NamedTuple):
