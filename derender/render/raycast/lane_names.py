@@ -11,7 +11,6 @@ load, store, splat, steps_from, where_at_least, zero_sum, accumulate, sum_lanes 
 add, subtract, multiply, divide, maximum, minimum, multiply_add = late(
     "derender.render.raycast.lanes", "add", "subtract", "multiply", "divide", "maximum", "minimum", "multiply_add"
 )
-load_table, look_up, all_at_least = late("derender.render.raycast.lanes", "load_table", "look_up", "all_at_least")
 reciprocal, square_root, absolute, exponential, logarithm = late(
     "derender.render.raycast.lanes", "reciprocal", "square_root", "absolute", "exponential", "logarithm"
 )

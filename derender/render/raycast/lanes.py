@@ -20,18 +20,16 @@ from derender.render.raycast.lane_names import LANES
 
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-TABLE = ir.VectorType(ir.FloatType(), 8)
 INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 
 
 class _LanesType(types.Type):
-    """The numba type of sixteen float32 or float64, or of a table of eight float32."""
+    """The numba type of sixteen float32 or float64."""
 
 
 float_lanes = _LanesType("float32x16")
 double_lanes = _LanesType("float64x16")
-small_table = _LanesType("float32x8")
-_MODELS = {float_lanes.name: FLOATS, double_lanes.name: DOUBLES, small_table.name: TABLE}
+_MODELS = {float_lanes.name: FLOATS, double_lanes.name: DOUBLES}
 
 
 def machine_has(feature: str) -> bool:
@@ -52,11 +50,11 @@ def _integer(value: int) -> ir.Constant:
     return ir.Constant(INTEGERS, [ir.Constant(ir.IntType(32), value)] * LANES)
 
 
-def _splat(builder, scalar, vector_type=FLOATS):
+def _splat(builder, scalar):
     """Sixteen copies of a value."""
-    single = builder.insert_element(ir.Constant(vector_type, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    single = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
-    return builder.shuffle_vector(single, ir.Constant(vector_type, ir.Undefined), zeros)
+    return builder.shuffle_vector(single, ir.Constant(FLOATS, ir.Undefined), zeros)
 
 
 def _call(builder, name, *arguments):
@@ -192,13 +190,6 @@ def where_at_least(builder, a, b, yes, no):
     return builder.select(builder.fcmp_ordered(">=", a, b), yes, no)
 
 
-@_emitted(float_lanes, float_lanes, gives=types.boolean)
-def all_at_least(builder, a, b):
-    """Whether all sixteen a >= b."""
-    yes = builder.bitcast(builder.fcmp_ordered(">=", a, b), ir.IntType(LANES))
-    return builder.icmp_unsigned("==", yes, ir.Constant(ir.IntType(LANES), -1))
-
-
 @_emitted(gives=double_lanes)
 def zero_sum(builder):
     """Sixteen float64 zeros: the start of a sum."""
@@ -220,40 +211,6 @@ def sum_lanes(builder, total):
         half = len(terms) // 2
         terms = [builder.fadd(terms[k], terms[k + half]) for k in range(half)]
     return terms[0]
-
-
-@intrinsic
-def load_table(typing: Any, array: Any, first: Any) -> Any:
-    """Eight elements of a 1-D float64 array from `first` on, rounded to float32: a table for `look_up`."""
-
-    def generate(context, builder, signature, arguments):
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        eight = ir.VectorType(ir.DoubleType(), 8)
-        at = builder.bitcast(builder.gep(data, [arguments[1]]), eight.as_pointer())
-        return builder.fptrunc(builder.load(at, align=8), TABLE)
-
-    return small_table(array, types.int64), generate
-
-
-@_emitted(small_table, float_lanes)
-def look_up(builder, table, place):
-    """The entries of a table at sixteen places, each 0, 1, ..., or 7."""
-    places = builder.fptosi(place, INTEGERS)
-    if not machine_has("avx2"):
-        value = _splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), 0)))
-        for k in range(1, 8):
-            entry = _splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), k)))
-            value = builder.select(builder.icmp_signed("==", places, _integer(k)), entry, value)
-        return value
-    index = ir.VectorType(ir.IntType(32), 8)
-    permute = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(TABLE, [TABLE, index]), "llvm.x86.avx2.permps"
-    )
-    halves = [
-        builder.call(permute, [table, builder.shuffle_vector(places, places, ir.Constant(index, list(part)))])
-        for part in (range(8), range(8, LANES))
-    ]
-    return builder.shuffle_vector(*halves, ir.Constant(INTEGERS, list(range(LANES))))
 
 
 @_emitted(float_lanes)
