@@ -34,7 +34,6 @@ FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may
 NO_DRAWS = "--method map and --quick find the best scene, and draw nothing"
 WALKS = "it is for --method mcmc, or for a scene given with --scene"
 IDLE = (  # beside the method, and whether the objects are given
-    Idle(("gradient",), lambda of: not (of["method"] == "map" and of["given"]), "it is for --method map with --scene"),
     Idle(("chains",), lambda of: of["method"] == "map" and not of["given"], NO_DRAWS),
     Idle(("draws", "warmup"), lambda of: of["method"] == "map", NO_DRAWS),
     Idle(("draws", "warmup"), lambda of: of["given"] and of["method"] == "smc", "populations have a fixed size"),
@@ -60,7 +59,6 @@ def infer_to_folder(
     prior: str | None = None,
     output: str | None = None,
     reading: Reading = AS_IT_IS,
-    gradient: str = "exact",
     command: str = "derender infer",
     page: bool = True,
     progress: Progress | None = None,
@@ -74,7 +72,6 @@ def infer_to_folder(
     image : file of the depth image; `-` is stdin. prior : scene file or built-in prior, or None: a bare image.
     output : folder; None: the image's name with _inferred.
     reading : how the image is read: with which camera, unit, turn and confidence.
-    gradient : "exact" or "finite-difference", of method "map" with a scene given.
     command : recorded in what is written. page : whether report.html is written, which can be made later.
     progress : called with (fraction done, message). say, warn : called with a line for a person.
     frames : files of further images of the same scene, which stands still; poses : file of where all cameras stood
@@ -87,7 +84,7 @@ def infer_to_folder(
     if frames:
         options = replace(options, frames=read_frames([image, *frames], poses, reading))
     folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
-    request = ask(image, options, prior, folder, reading, gradient, command, warn)
+    request = ask(image, options, prior, folder, reading, command, warn)
     return answer(request, make_folder(folder, ROOM), page, started, progress, say, warn)
 
 
@@ -99,7 +96,6 @@ class Request(NamedTuple):
     document: Document | None  # of a prior or scene, or None
     where: str | None  # whose fault a fault is
     options: Options  # see `infer_to_folder`
-    gradient: str  # see `infer_to_folder`
     made: dict[str, Any]  # seed, command and prior, recorded in what is written
     home: Path  # the results' folder, absolute: files are named as seen from there
 
@@ -110,14 +106,13 @@ def ask(
     prior: str | None,
     folder: Path,
     reading: Reading = AS_IT_IS,
-    gradient: str = "exact",
     command: str = "derender infer",
     warn: Say = silent,
 ) -> Request:
     """Read all files that an inference needs and return the Request; the arguments are those of `infer_to_folder`."""
     document = read_prior_document(prior) if prior is not None else None
     seen = look_at(reading.read(image, None if document is None else document.camera), document, image, warn)
-    check_request(options, document, prior, gradient, warn)
+    check_request(options, document, prior, warn)
     if isinstance(options.known, str | Path):
         from derender.structures.known.library import read_library
 
@@ -126,7 +121,7 @@ def ask(
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     where = prior if names_objects(document) else image
-    return Request(str(image), seen, document, where, options, gradient, made, Path(os.path.realpath(folder)))
+    return Request(str(image), seen, document, where, options, made, Path(os.path.realpath(folder)))
 
 
 def read_frames(images: Sequence[str], poses: str | None, reading: Reading) -> tuple[Frame, ...]:
@@ -162,9 +157,7 @@ def answer(
     try:
         with at_fault(request.where):
             own = replace(options, folder=folder)
-            posterior, likelihood = infer_image(
-                request.seen, request.document, own, request.gradient, progress, warn, command
-            )
+            posterior, likelihood = infer_image(request.seen, request.document, own, progress, warn, command)
             posterior = replace(posterior, command=command, meta={**posterior.meta, "image": request.image})
             with interruptible() as stop:  # what was inferred is written, whoever loses patience now
                 outcome = write_results(
@@ -202,12 +195,12 @@ def spelt(name: str) -> str:
     return "--" + switches.get(name, name).replace("_", "-")
 
 
-def check_request(options: Options, document: Document | None, prior: object, gradient: str, warn: Say) -> None:
+def check_request(options: Options, document: Document | None, prior: object, warn: Say) -> None:
     """Refuse, or warn of, options that say nothing about what is asked."""
     from derender.detection.solids.image import KINDS
 
     given, method = names_objects(document), options.method
-    asked, usual = ({**vars(each), "gradient": text} for each, text in ((options, gradient), (Options(), "exact")))
+    asked, usual = vars(options), vars(Options())
     told = {name: spelt(name) for rule in IDLE for name in rule.names if asked[name] != usual[name]}
     for line in idle_lines(IDLE, told, {"method": method, "given": given}):
         warn(line)
@@ -237,7 +230,6 @@ def infer_image(
     seen: DepthImage,
     document: Document | None,
     options: Options,
-    gradient: str = "exact",
     progress: Progress | None = None,
     warn: Say = silent,
     command: str = "",
@@ -254,7 +246,7 @@ def infer_image(
         prior, said = without_stands(document.prior)
         document, must_stand = replace(document, prior=prior), must_stand or said
     if document is not None and names_objects(document):
-        posterior, likelihood = _given(seen, document, options, gradient, progress, warn, command)
+        posterior, likelihood = _given(seen, document, options, progress, warn, command)
     else:
         posterior, likelihood = _bare(seen, document, options, progress, warn)
     if must_stand:
@@ -277,13 +269,7 @@ def infer_image(
 
 
 def _given(
-    seen: DepthImage,
-    document: Document,
-    options: Options,
-    gradient: str,
-    progress: Progress | None,
-    warn: Say,
-    command: str,
+    seen: DepthImage, document: Document, options: Options, progress: Progress | None, warn: Say, command: str
 ) -> tuple[Posterior, LikelihoodPrior]:
     """Infer the unknown numbers of objects that are given."""
     from derender.posterior.sampler import read_settings
@@ -295,7 +281,7 @@ def _given(
     settings = read_settings(document.inference)._replace(**{k: v for k, v in said.items() if v is not None})
     settings = settings._replace(goes_on=options.draws is None and "draws" not in (document.inference or ()))
     posterior, interrupted, lost = infer_scene(
-        document, seen.depth, seen.camera, settings, options, gradient, command, progress, warn
+        document, seen.depth, seen.camera, settings, options, command, progress, warn
     )
     likelihood = document.likelihood or LikelihoodPrior()
     meta = {

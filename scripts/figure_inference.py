@@ -12,7 +12,7 @@ from derender.document import read_document
 from derender.physics.bodies import matter_of_graph
 from derender.physics.outcome import probability
 from derender.physics.simulate import judge, simulate
-from derender.posterior.ascent import MapProblem
+from derender.posterior.ascent import Ascent, MapProblem
 from derender.posterior.forward import draw_documents, observe
 from derender.posterior.sampler import read_settings
 from derender.render.raycast.depth import render_depth
@@ -73,6 +73,24 @@ def figure_4(path: Path, seed: int) -> Rows:
     ]
 
 
+def fixed_steps(scene: MapProblem, start: np.ndarray, iterations: int) -> Ascent:
+    """Ascend the log density by steps of fixed length along its gradient in unit coordinates.
+
+    Each parameter is measured by its range (an angle by its period), the gradient is normalised: then the paper's alpha
+    is a length. The paper does not say what it multiplies. Of nine readings (the plain gradient with sigma from 1 cm to
+    1 m or its mean over pixels, unit length in ranges or in radians, each number by itself) those with unit length
+    climb most, nine tenths of the way in 12 steps; plain gradients leap past the top and end below the start; none
+    comes within 3 nats in 100 ascents, as steps of fixed length end in a circle about the top.
+    """
+    domain = scene.domain
+    scale = np.where(domain.period > 0.0, domain.period, np.minimum(domain.upper - domain.lower, 1.0))
+    path = [domain.bring(start)]
+    for _ in range(iterations):
+        gradient = scale * scene.slope(path[-1])[0]
+        path.append(domain.bring(path[-1] + STEP_LENGTH * scale * gradient / np.linalg.norm(gradient)))
+    return Ascent(np.array(path), np.array([scene.log_density(place) for place in path]))
+
+
 def figure_5(path: Path, seed: int) -> Rows:
     """Ascend the posterior of the yellow cube's (theta, u, v) from ten random starts: the paper's steps, and ours."""
     document = read_document(data_path("priors/figure-5.yaml"))
@@ -83,13 +101,13 @@ def figure_5(path: Path, seed: int) -> Rows:
     ((target, _),) = targets(document, depth, camera, seed)
     scene = MapProblem(target, target.values(truth.graph))
     starts = np.random.default_rng(seed).uniform(*scene.domain[:2], (ASCENTS, len(scene.start)))
-    steps = [scene.maximise(start, "gradient", iterations=30, step=STEP_LENGTH) for start in starts]
+    steps = [fixed_steps(scene, start, 30) for start in starts]
     newton = [scene.maximise(start, iterations=15, tolerance=1e-3) for start in starts]
-    best = scene.maximise(scene.start, iterations=15, tolerance=1e-3).costs[-1]
+    best = scene.maximise(scene.start, iterations=15, tolerance=1e-3).densities[-1]
     # Two nats for each of three parameters: where a posterior's draws are, an optimum is found.
-    found = [int(np.argmax(costs < best + 6)) if costs.min() < best + 6 else None for _, costs in newton]
-    climbed = [costs[min(12, len(costs) - 1)] for _, costs in steps]
-    shown = int(np.argmin(climbed))
+    found = [int(np.argmax(heights > best - 6)) if heights.max() > best - 6 else None for _, heights in newton]
+    climbed = [heights[min(12, len(heights) - 1)] for _, heights in steps]
+    shown = int(np.argmax(climbed))
     figure = plt.figure(figsize=(11, 6))
     grid = figure.add_gridspec(2, 5, width_ratios=(1, 1, 1, 1, 1))
     show(figure.add_subplot(grid[0, 0]), picture(truth.graph, camera), "observed (in colour)")
@@ -98,8 +116,8 @@ def figure_5(path: Path, seed: int) -> Rows:
         show(figure.add_subplot(grid[0, 1 + place]), picture(graph, camera), f"t = {number} steps", "#3060d0")
     for place, (runs, words) in enumerate(((steps, f"fixed steps of {STEP_LENGTH}"), (newton, "Gauss-Newton"))):
         axes = figure.add_subplot(grid[1, :3] if place == 0 else grid[1, 3:])
-        for number, (_, costs) in enumerate(runs):
-            axes.plot(best - costs, lw=2.2 if number == shown else 1.1)
+        for number, (_, heights) in enumerate(runs):
+            axes.plot(heights - best, lw=2.2 if number == shown else 1.1)
         axes.set_yscale("symlog", linthresh=10)
         axes.set_xlabel("step")
         axes.set_ylabel("log likelihood below the optimum, nats")
@@ -107,8 +125,8 @@ def figure_5(path: Path, seed: int) -> Rows:
         axes.grid(alpha=0.3)
     figure.suptitle("Figure 5: the yellow cube's (θ, u, v) on the red one by gradient ascent", fontsize=11)
     save(figure, path)
-    start_gap = np.array([costs[0] for _, costs in steps]) - best
-    gained = 1 - (np.array(climbed) - best) / start_gap
+    start_gap = best - np.array([heights[0] for _, heights in steps])
+    gained = 1 - (best - np.array(climbed)) / start_gap
     reached = [number for number in found if number is not None]
     return [
         ("fixed steps: share of the gap closed in 12, median", f"{np.median(gained):.1%}", "converged after 12"),

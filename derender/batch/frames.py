@@ -195,7 +195,6 @@ class Order:
     options: Options = field(default_factory=lambda: Options(seed=0))  # see `workflow.infer_to_folder`
     prior: str | None = None  # see `workflow.infer_to_folder`
     reading: Reading = Reading()  # see `workflow.infer_to_folder`
-    gradient: str = "exact"  # see `workflow.infer_to_folder`
     page: bool = False  # whether each frame gets its report.html at once
     words: Sequence[str] = ()
 
@@ -245,8 +244,7 @@ def request_of(frame: Frame, order: Order, output: str, warn: Callable[[str], No
 
     folder = Path(output) / frame.name
     return ask(
-        frame.path, order.options, order.prior, folder, order.reading, order.gradient,
-        order.command(frame), warn,
+        frame.path, order.options, order.prior, folder, order.reading, order.command(frame), warn,
     )  # fmt: skip
 
 

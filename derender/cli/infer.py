@@ -63,8 +63,8 @@ OF_THE_RUN = frozenset(
     {"images", "output", "jobs", "watch", "scheduler", "page", "strict", "quiet", "verbose", "resume"}
 )
 # Options that are dropped where others stand; what depends on files is told by `workflow.check_request`.
-OF_IMAGES = ("rotate", "confidence", "least_confidence", "up", "topic", "method", "quick", "gradient", "chains",
-             "draws", "warmup", "budget", "assume_stable", "scheduler", "strict", "resume", "jobs", "page")  # fmt: skip
+OF_IMAGES = ("rotate", "confidence", "least_confidence", "up", "topic", "method", "quick", "chains", "draws",
+             "warmup", "budget", "assume_stable", "scheduler", "strict", "resume", "jobs", "page")  # fmt: skip
 IDLE = (
     Idle(OF_IMAGES, lambda given: given["track"], "--track follows what the first frame of a film shows"),
     Idle(("least_confidence",), lambda given: not given["confidence"], "it is for --confidence"),
@@ -110,12 +110,6 @@ IDLE = (
     "structures by integrals, mcmc by visiting them.",
 )
 @click.option("--quick", is_flag=True, help="The best scene only, searched for once: twice as fast as --method map.")
-@click.option(
-    "--gradient",
-    type=click.Choice(["exact", "finite-difference"]),
-    default="exact",
-    help="Derivatives that --method map uses.",
-)
 @click.option("--shapes", metavar="NAMES", help="Without --scene: shapes to look for, such as box,cylinder.")
 @click.option("--max-objects", type=click.IntRange(1, 1000), help="Without --scene: at most so many.")
 @click.option(
@@ -279,14 +273,12 @@ def _one(
     from derender.structures.options import Options
     from derender.workflow import infer_to_folder
 
-    prior, output, gradient, strict, page = (
-        arguments.pop(key) for key in ("prior", "output", "gradient", "strict", "page")
-    )
+    prior, output, strict, page = (arguments.pop(key) for key in ("prior", "output", "strict", "page"))
     reading = _reading(arguments)
     wanted = Options(**arguments)
     with talk.bar() as bar:
         outcome = infer_to_folder(
-            image, wanted, prior, output, reading, gradient, command_line(), page is not False,
+            image, wanted, prior, output, reading, command_line(), page is not False,
             progress=bar, say=talk.say, warn=talk.warn, frames=frames, poses=poses,
         )  # fmt: skip
     for line, doubtful in outcome.lines():
@@ -309,9 +301,9 @@ def _many(
     from derender.structures.options import Options
 
     output, strict, jobs, page = (arguments.pop(key) for key in ("output", "strict", "jobs", "page"))
-    prior, gradient, reading = arguments.pop("prior"), arguments.pop("gradient"), _reading(arguments)
+    prior, reading = arguments.pop("prior"), _reading(arguments)
     output = output or "inferred"
-    order = Order(Options(**arguments, jobs=1), prior, reading, gradient, bool(page), _words())
+    order = Order(Options(**arguments, jobs=1), prior, reading, bool(page), _words())
     idle: set[str] = set()
 
     def tell(done) -> None:

@@ -167,7 +167,7 @@ def infer(
     else:  # a program may have put anything into it
         image = image._replace(depth=read_depth(image.depth, image.camera).depth)
     seen = look_at(image, document, "image", _warn)
-    check_request(options, document, prior, "exact", _warn)
+    check_request(options, document, prior, _warn)
     posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)
     return Posterior.of(judged(posterior, seen, likelihood, page=False).posterior, seen)
 

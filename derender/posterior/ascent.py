@@ -1,8 +1,8 @@
 """Maximum a posteriori estimation of the numbers of a scene graph whose structure is given (A.3, Eqs. 7-9, Figure 5).
 
-Any scene is led to its mode by a walk ever colder (`cooled`); where none of its solids is a mesh, two ways lead on.
-`gauss-newton` (the default): Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the
-paper's steps of fixed length. Both keep every state inside the domain, angles going round their period.
+Any scene is led to its mode by a walk ever colder (`cooled`); where none of its solids is a mesh, Levenberg-Marquardt
+on the exact Jacobian of the antialiased image leads on. It keeps every state inside the domain, angles going round
+their period.
 
 Eq. 7-9: a contact's parameter moves the vertex and all that descends from it by one rigid motion. The motions are found
 by central differences of Eq. 1 itself (numbers of order one in float64: exact to 1e-9), so that every contact type,
@@ -23,11 +23,9 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.evaluate import put_all
 from derender.posterior.compiled.model import NotCompiled, chain_of, model_of
-from derender.posterior.compiled.prior import Chain, Model
 from derender.posterior.kernels.base import first_tuning, mixture, rescale
-from derender.registry import suggest
 from derender.render.blur import blur_taps
-from derender.render.raycast.normal_equations import MOTION, Misfit, cost, new_misfit, normal_equations
+from derender.render.raycast.normal_equations import MOTION, cost, new_misfit, normal_equations
 from derender.render.raycast.state import SIGMA
 from derender.scene.solids import MESH
 
@@ -136,13 +134,11 @@ def solve_positive(matrix, vector, held, step):
 
 
 @njit(cache=True, nogil=True)
-def _costs_at(misfit, model, chain, values, chosen, places, costs):
-    parameters = np.empty(SIGMA + 1)
-    for n in range(len(places)):
-        for p in range(len(chosen)):
-            values[chosen[p]] = places[n, p]
-        put_all(model, chain, parameters, values)
-        costs[n] = cost(misfit, chain.moved_pose, chain.moved_size)
+def _cost_at(misfit, model, chain, values, chosen, place):
+    for p in range(len(chosen)):
+        values[chosen[p]] = place[p]
+    put_all(model, chain, np.empty(SIGMA + 1), values)
+    return cost(misfit, chain.moved_pose, chain.moved_size)
 
 
 @njit(cache=True, nogil=True)
@@ -152,112 +148,20 @@ def _equations_at(misfit, model, chain, values, chosen, edges, motions, gradient
     normal_equations(misfit, chain.moved_pose, chain.moved_size, motions, edges, gradient, hessian)
 
 
-class Cost:
-    """Minus the log likelihood of some of a scene's numbers, up to a constant, and its derivatives.
-
-    misfit : Misfit of the scene's solids, for n numbers. model, chain : of a target. values : (P,), of which those
-        `chosen` (n,) move. edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
-    """
-
-    def __init__(self, misfit: Misfit, model: Model, chain: Chain, values: np.ndarray, chosen: np.ndarray,
-                 edges: bool = True) -> None:  # fmt: skip
-        self._arrays, self._edges = (misfit, model, chain, values.copy(), chosen), edges
-        self._motions = np.empty((len(chosen), len(misfit.kinds), MOTION))
-
-    def at(self, places: np.ndarray) -> np.ndarray:
-        """Return the costs (S,) at places (S, n)."""
-        costs = np.empty(len(places))
-        _costs_at(*self._arrays, np.ascontiguousarray(places, np.float64), costs)  # type: ignore[call-arg]
-        return costs
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return gradient (n,) and Gauss-Newton Hessian (n, n) at the last place at which the cost was asked."""
-        count = len(self._motions)
-        gradient, hessian = np.empty(count), np.empty((count, count))
-        _equations_at(*self._arrays, self._edges, self._motions, gradient, hessian)  # type: ignore[call-arg]
-        return gradient, hessian
-
-    def differences(self, place: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the gradient (n,) by central differences of these steps (n,): for comparison."""
-        costs = self.at(np.concatenate([place + np.diag(steps), place - np.diag(steps)])).reshape(2, -1)
-        return (costs[0] - costs[1]) / (2.0 * steps)
-
-
 class Ascent(NamedTuple):
     """Where an ascent went."""
 
     path: np.ndarray  # (T + 1, P) the states on the way, from the start in the domain on
-    costs: np.ndarray  # (T + 1,) theirs: minus their log densities, up to a constant
+    densities: np.ndarray  # (T + 1,) their logs
 
 
-def levenberg(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, tolerance: float) -> Ascent:
-    """Minimise by Levenberg-Marquardt from `start` (P,), in at most `iterations` steps tried.
-
-    tolerance : nats; a smaller gain ends it.
-    """
-    values = domain.bring(start)
-    value = cost.at(values[None])[0]
-    gradient, hessian = cost.equations()
-    path, costs, damping, step = [values], [value], DAMPING, np.zeros(len(values))
-    for _ in range(iterations):
-        outward = ((values <= domain.lower) & (gradient > 0.0)) | ((values >= domain.upper) & (gradient < 0.0))
-        diagonal = np.diag(hessian)
-        largest = max(diagonal.max(), 1e-12)
-        damped = hessian + np.diag(damping * np.maximum(diagonal, FLAT * largest) + SINGULAR * largest)
-        if not solve_positive(damped, gradient, (domain.period == 0.0) & outward, step):
-            damping = max(damping * 10.0, DAMPING)
-            continue
-        foreseen = -float(step @ (gradient + 0.5 * hessian @ step))
-        trial = domain.bring(values + step)
-        gained = value - cost.at(trial[None])[0]
-        if gained > 0.0:
-            values, value = trial, value - gained
-            damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), LEAST_DAMPING)
-            gradient, hessian = cost.equations()
-            path.append(values)
-            costs.append(value)
-            if gained < tolerance:
-                break
-        elif foreseen < tolerance or damping > MOST_DAMPING:
-            break
-        else:
-            damping = max(damping * 8.0, AFTER_FAILURE)
-    return Ascent(np.array(path), np.array(costs))
-
-
-def fixed_steps(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, length: float,
-                difference: float = 0.0) -> Ascent:  # fmt: skip
-    """Ascend the log density by steps of fixed length along its gradient in unit coordinates, as in Figure 5.
-
-    Each parameter is measured by its range (an angle by its period), the gradient is normalised: then alpha, `length`,
-    is a length. The paper does not say what its alpha multiplies. Of nine readings (the plain gradient with sigma from
-    1 cm to 1 m or its mean over pixels, unit length in ranges or in radians, each number by itself) those with unit
-    length climb most, nine tenths of the way in 12 steps; plain gradients leap past the top and end below the start;
-    none comes within 3 nats in 100 ascents, as steps of fixed length end in a circle about the top.
-    difference : 0, or the step of central differences in unit coordinates.
-    """
-    scale = np.where(domain.period > 0.0, domain.period, np.minimum(domain.upper - domain.lower, 1.0))
-    path, costs = [domain.bring(start)], []
-    for _ in range(iterations + 1):
-        values = path[-1]
-        costs.append(cost.at(values[None])[0])
-        gradient = scale * (cost.differences(values, difference * scale) if difference else cost.equations()[0])
-        steepness = np.linalg.norm(gradient)
-        if steepness == 0.0:
-            break
-        path.append(domain.bring(values - length * scale * gradient / steepness))
-    return Ascent(np.array(path[: len(costs)]), np.array(costs))
-
-
-METHODS = ("gauss-newton", "gradient", "finite-difference")  # the last: the second, by a derivative that is not exact
 COLDER = tuple(2.0 ** np.arange(0.0, 10.0, 0.5))  # what the likelihood is raised to, one after the other
 ROBUST = 8.0  # nats at which a pixel counts as an outlier, where some may be
 COLD_STEPS, GAIN = 100, 3.0  # at each, of each block of unknowns; of their scales for a rate wrong by 1
-DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
 
 
 class MapProblem:
-    """The posterior density of a scene's contact and shape numbers given its image, antialiased, and ways to its top.
+    """The posterior density of a scene's contact and shape numbers given its image, antialiased, and a way to its top.
 
     target : SceneTarget. values : (P,), at which all other numbers are held. Priors are taken as uniform where they are
         not zero; the likelihood as normal, or as robust where the target's is any other.
@@ -275,7 +179,7 @@ class MapProblem:
                   and unknown.address.partition(".")[0] not in ("root", "likelihood")]  # fmt: skip
         solids = target.graph(self.values).solids()
         try:
-            model, chain = model_of(target), chain_of(target, cycle=False)
+            model, chain = model_of(target), chain_of(target)
         except NotCompiled as what:
             raise DerenderError(f"{what} has no compiled form", remedy="use --method mcmc") from None
         if not moving or (solids.kind == MESH).any():
@@ -293,7 +197,7 @@ class MapProblem:
         limit = math.inf if images.type == "gaussian" else ROBUST
         fine = new_misfit(images.camera, observed, sigma, solids.kind, len(moving),
                           blur_taps(numbers.get("blur", 0.0)), numbers.get("background", 10.0), limit)  # fmt: skip
-        self._cost = Cost(fine, model, chain, self.values, self.chosen, edges)
+        self._arrays, self._edges = (fine, model, chain, self.values.copy(), self.chosen), edges
 
     def at(self, place: np.ndarray) -> np.ndarray:
         """Return all values (P,) with these (n,) that move."""
@@ -303,39 +207,52 @@ class MapProblem:
 
     def log_density(self, place: np.ndarray) -> float:
         """Return Eq. 6's log likelihood on the antialiased image."""
-        return self._constant - float(self._cost.at(np.atleast_2d(place))[0])
+        return self._constant - _cost_at(*self._arrays, np.asarray(place, np.float64))  # type: ignore[call-arg]
 
     def slope(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the gradient (n,) of the log density at a place (n,) and its Gauss-Newton precision (n, n)."""
-        self._cost.at(np.atleast_2d(place))
-        gradient, hessian = self._cost.equations()
+        self.log_density(place)
+        count, solids = len(self.chosen), len(self._arrays[0].kinds)
+        motions, gradient, hessian = np.empty((count, solids, MOTION)), np.empty(count), np.empty((count, count))
+        _equations_at(*self._arrays, self._edges, motions, gradient, hessian)  # type: ignore[call-arg]
         return -gradient, hessian
 
-    def maximise(
-        self,
-        start: np.ndarray,
-        method: str = "gauss-newton",
-        iterations: int = 12,
-        step: float = 0.05,
-        tolerance: float = 0.5,
-    ) -> Ascent:
-        """Ascend from values (P,); the costs are minus the log densities.
+    def maximise(self, start: np.ndarray, iterations: int = 12, tolerance: float = 0.5) -> Ascent:
+        """Ascend from values (n,) by Levenberg-Marquardt, in at most `iterations` steps tried.
 
-        method : one of METHODS. iterations : steps, at most. step : alpha of the fixed steps. tolerance : nats.
+        tolerance : nats; a smaller gain ends it.
         """
-        if method not in METHODS:
-            raise DerenderError(f"no method is called {method!r}", remedy=suggest(method, METHODS))
-        if method == "gauss-newton":
-            ascent = levenberg(self._cost, np.array(start, np.float64), self.domain, iterations, tolerance)
-        else:
-            difference = DIFFERENCE if method == "finite-difference" else 0.0
-            ascent = fixed_steps(self._cost, start, self.domain, iterations, step, difference)
-        return ascent._replace(costs=ascent.costs - self._constant)
+        domain, damping = self.domain, DAMPING
+        values = domain.bring(np.array(start, np.float64))
+        density, (gradient, precision) = self.log_density(values), self.slope(values)
+        path, densities, step = [values], [density], np.zeros(len(values))
+        for _ in range(iterations):
+            outward = ((values <= domain.lower) & (gradient < 0.0)) | ((values >= domain.upper) & (gradient > 0.0))
+            diagonal = np.diag(precision)
+            largest = max(diagonal.max(), 1e-12)
+            damped = precision + np.diag(damping * np.maximum(diagonal, FLAT * largest) + SINGULAR * largest)
+            if not solve_positive(damped, -gradient, (domain.period == 0.0) & outward, step):
+                damping = max(damping * 10.0, DAMPING)
+                continue
+            foreseen = float(step @ (gradient - 0.5 * precision @ step))
+            trial = domain.bring(values + step)
+            gained = self.log_density(trial) - density
+            if gained > 0.0:
+                values, density = trial, density + gained
+                damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), LEAST_DAMPING)
+                gradient, precision = self.slope(values)
+                path.append(values)
+                densities.append(density)
+                if gained < tolerance:
+                    break
+            elif foreseen < tolerance or damping > MOST_DAMPING:
+                break
+            else:
+                damping = max(damping * 8.0, AFTER_FAILURE)
+        return Ascent(np.array(path), np.array(densities))
 
 
-def climb(
-    target: Any, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None
-) -> np.ndarray:
+def climb(target: Any, values: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
     """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
 
     All unknowns are `cooled`. An ascent then moves contact and shape numbers on the antialiased image under uniform
@@ -347,8 +264,7 @@ def climb(
     except DerenderError:
         return best
     density = target.log_prior(best) + target.log_likelihood(best)
-    method = "gauss-newton" if gradient == "exact" else gradient
-    for end in problem.maximise(problem.start, method, step=0.005).path:
+    for end in problem.maximise(problem.start).path:
         trial = problem.at(end)
         log_prior = target.log_prior(trial)
         if log_prior > -math.inf:

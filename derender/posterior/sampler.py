@@ -30,14 +30,13 @@ from derender.posterior.space import Space
 from derender.sampling.chains import Segment
 from derender.scene.priors.terms import MOST_TRIES
 
-KEYS = ("kernels", "order", "thin", "particles", "population", "chains", "draws", "warmup")
+KEYS = ("kernels", "thin", "particles", "population", "chains", "draws", "warmup")
 
 
 class Settings(NamedTuple):
     """How chains are run. kernels : entries such as {"drift": {"weight": 0.5}}, or None: the default mixture."""
 
     kernels: list[dict[str, Any]] | None = None
-    cycle: bool = False  # kernels take turns, in the order of the file, instead of being drawn by weight
     thin: int = 20  # steps for each draw
     particles: int = 200  # draws from the prior that the start is resampled from
     population: int = 32  # particles of the tempered SMC that looks for the mode; 1: none
@@ -66,10 +65,6 @@ def read_settings(section: Any) -> Settings:
         counts["warmup"] = section["warmup"].integer(lower=0, upper=10_000_000)
     settings = settings._replace(**counts)
     plain = section.plain()
-    if "order" in section:
-        if plain["order"] not in ("mixture", "cycle"):
-            raise section["order"].fault(f"order is {plain['order']!r}", "choose mixture or cycle")
-        settings = settings._replace(cycle=plain["order"] == "cycle")
     if "kernels" in section:
         section["kernels"].sequence()
         entries = [{entry: None} if isinstance(entry, str) else entry for entry in plain["kernels"]]
@@ -91,7 +86,7 @@ class Walk(NamedTuple):
 
 @dataclass(eq=False)
 class MixtureSampler:
-    """A mixture or cycle of kernels on a target, for `chains.run_chain`.
+    """A mixture of kernels on a target, for `chains.run_chain`.
 
     population : particles of each tempered population that `prepared` sends out to find the mode; 1: none, walks begin
         at importance resampled draws.
@@ -101,7 +96,6 @@ class MixtureSampler:
     target: Any  # the posterior
     parts: list[Part]  # the mixture
     thin: int = 20  # steps for each draw
-    cycle: bool = False  # kernels take turns instead of being drawn by weight
     particles: int = 100  # draws from the prior of which importance resampling takes the start
     population: int = 16
     places: np.ndarray | None = None  # (n, P) to start from; None: they are looked for
@@ -109,7 +103,7 @@ class MixtureSampler:
 
     @cached_property
     def _first(self) -> Backend:
-        return backend_of(self.target, self.parts, self.cycle)
+        return backend_of(self.target, self.parts)
 
     def backend(self) -> Backend:
         """Return what runs the mixture, for one thread and one stretch: it outlives none of the values returned."""
@@ -155,7 +149,7 @@ class MixtureSampler:
             backend = self.backend()
             return np.array([importance_resampling(rng, space, backend, self.particles) for _ in range(WALKS)])
         walking = [part for part in self.parts if part.type in LOCAL] or self.parts
-        local = backend_of(self.target, walking, self.cycle)
+        local = backend_of(self.target, walking)
         found = in_threads(rng, [
             partial(tempered, space=space, backend=local.twin(), parts=walking, particles=self.population,
                     steps=START_STEPS, drawn=self.particles, share=SHARE) for _ in range(POPULATIONS)
@@ -164,12 +158,11 @@ class MixtureSampler:
         values, weights = np.concatenate([each.values for each in found]), np.exp(logs - logs.max())
         return values[rng.permutation(systematic(rng, np.repeat(weights, self.population)))]
 
-    def walked(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, rounds: int, taken: int = 0) -> Walk:
-        """Return the Walk of so many rounds, in which the scales of its steps adapt. taken : steps before."""
+    def walked(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, rounds: int) -> Walk:
+        """Return the Walk of so many rounds, in which the scales of its steps adapt."""
         backend, met, scale = self.backend(), list[Stretch](), tuning.scale
         for turn in range(0, rounds, STRETCH):
-            met.append(backend.sweep(rng, values, tuning._replace(scale=scale), min(STRETCH, rounds - turn), self.thin,
-                                     taken + turn * self.thin))  # fmt: skip
+            met.append(backend.sweep(rng, values, tuning._replace(scale=scale), min(STRETCH, rounds - turn), self.thin))
             values, gain = met[-1].values[-1], 3.0 / math.sqrt(1.0 + turn / STRETCH)
             scale = rescale(scale, self.parts, met[-1].counts, gain)
         densities = np.concatenate([one.densities for one in met])[rounds // 2 :]
@@ -179,21 +172,21 @@ class MixtureSampler:
     def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         assert self.places is not None and self.learned is not None, "prepared first"
         values, counts = self.places[int(rng.random() * len(self.places))], np.zeros((len(self.parts), 2), np.int64)
-        return _pack(values, self.learned, counts, 0)
+        return _pack(values, self.learned, counts)
 
     def warm_up(
         self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
     ) -> dict[str, np.ndarray]:
-        values, tuning, counts, taken = _unpack(state)
-        walk = self.walked(rng, values, tuning, rounds, taken)
-        return _pack(walk.later[-1], tuning._replace(scale=walk.scale), counts, taken + rounds * self.thin)
+        values, tuning, counts = _unpack(state)
+        walk = self.walked(rng, values, tuning, rounds)
+        return _pack(walk.later[-1], tuning._replace(scale=walk.scale), counts)
 
     def advance(
         self, rng: np.random.Generator, state: dict[str, np.ndarray], draws: int
     ) -> tuple[dict[str, np.ndarray], Segment]:
-        values, tuning, counts, taken = _unpack(state)
-        stretch = self.backend().sweep(rng, values, tuning, draws, self.thin, taken)
-        state = _pack(stretch.values[-1], tuning, counts + stretch.counts, taken + draws * self.thin)
+        values, tuning, counts = _unpack(state)
+        stretch = self.backend().sweep(rng, values, tuning, draws, self.thin)
+        state = _pack(stretch.values[-1], tuning, counts + stretch.counts)
         return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
 
 
@@ -204,7 +197,7 @@ def importance_resampling(rng: np.random.Generator, space: Space, backend: Backe
     return drawn[systematic(rng, np.exp(logs - np.max(logs)), 1)[0]]
 
 
-def _pack(values: np.ndarray, tuning: Tuning, counts: np.ndarray, taken: int) -> dict[str, np.ndarray]:
+def _pack(values: np.ndarray, tuning: Tuning, counts: np.ndarray) -> dict[str, np.ndarray]:
     """Return the state as arrays by name."""
     return {
         "values": values,
@@ -213,14 +206,13 @@ def _pack(values: np.ndarray, tuning: Tuning, counts: np.ndarray, taken: int) ->
         "scale": np.frombuffer(json.dumps(dict(tuning.scale)).encode(), np.uint8),
         "archive": tuning.places,
         "counts": counts,
-        "taken": np.array(taken),
     }
 
 
-def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray, int]:
+def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray]:
     scale = json.loads(bytes(state["scale"]))
     tuning = Tuning(state["mean"], state["covariance"], scale, archive=state["archive"])
-    return state["values"], tuning, state["counts"], int(state["taken"])
+    return state["values"], tuning, state["counts"]
 
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them

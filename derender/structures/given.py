@@ -198,7 +198,6 @@ def infer_scene(
     camera: Camera,
     settings: Settings | None = None,
     options: Options | None = None,
-    gradient: str = "exact",
     command: str = "",
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
@@ -209,7 +208,6 @@ def infer_scene(
     settings : of the chains and particles, as the document's `inference:` may say.
     options : of which method, seed, jobs, folder and resume are looked at. jobs are threads, on
         which the draws do not depend.
-    gradient : "exact" or "finite-difference", the derivative by which "map" climbs in the end.
     progress : called with the fraction that is done and a word on what is being done.
     warn : called with a line on what makes it slow.
 
@@ -245,7 +243,7 @@ def infer_scene(
         interrupted = interrupted or outcome.interrupted
         part = part_of(target, list(outcome.records.values()), mixed, weight)
         if part is not None:
-            parts.append(summit(target, part.best_only(), gradient, seed) if method == "map" else part)
+            parts.append(summit(target, part.best_only(), seed) if method == "map" else part)
     if not parts:
         raise KeyboardInterrupt
     total_weight = sum(part.weight for part in parts)
@@ -260,7 +258,7 @@ def _walk(
 
     number : the structure's. run : fingerprint of all that decides about the draws.
     """
-    sampler = MixtureSampler(target, mixed, settings.thin, settings.cycle, settings.particles, settings.population)
+    sampler = MixtureSampler(target, mixed, settings.thin, settings.particles, settings.population)
     draws, warmup, chains = settings.draws, settings.warmup, settings.chains
     place = None
     if options.method == "map":
@@ -337,11 +335,11 @@ def part_at(
                               target.space.periods, poses, extras)  # fmt: skip
 
 
-def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
-    """Return a part of one draw moved to the end of ascents by gradient, if that is more probable."""
+def summit(target: SceneTarget, part: StructurePosterior, seed: int) -> StructurePosterior:
+    """Return a part of one draw moved to the end of an ascent by gradient, if that is more probable."""
     from derender.posterior.ascent import climb
 
-    values = climb(target, part.values[0, 0], gradient, np.random.default_rng([seed, 3]))
+    values = climb(target, part.values[0, 0], np.random.default_rng([seed, 3]))
     if np.array_equal(values, part.values[0, 0]):
         return part
     prior, likelihood = np.array([[target.log_prior(values)]]), np.array([[target.log_likelihood(values)]])

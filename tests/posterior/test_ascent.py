@@ -1,4 +1,4 @@
-"""MAP: exact chain rule, the paper's steps, and second-order ascents that find the truth."""
+"""MAP: exact chain rule, and second-order ascents that find the truth."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ from small_scenes import read
 
 from derender import data_path
 from derender.document import read_document
-from derender.errors import DerenderError
 from derender.posterior.ascent import MapProblem, climb, find_motions
 from derender.posterior.compiled.model import chain_of, model_of
 from derender.posterior.forward import draw_documents, observe
@@ -35,7 +34,7 @@ def test_descendants_share_their_ancestors_motion():
     ((target, _),) = targets(document, np.ones(draw.camera.shape), draw.camera, 0)
     motions, addresses = np.zeros((2, 4, MOTION)), target.space.addresses
     chosen = np.array([addresses.index(address) for address in ("green.contact.theta", "red.contact.u")])
-    find_motions(model_of(target), chain_of(target, False), target.values(draw.graph), chosen, motions)
+    find_motions(model_of(target), chain_of(target), target.values(draw.graph), chosen, motions)
     names = draw.graph.solid_names
     green, red, yellow, floor = (names.index(name) for name in ("green", "red", "yellow", "floor"))
     # 1e-8: differences with steps of 1e-6 of numbers of order one in float64
@@ -80,21 +79,10 @@ def test_gradient_by_contact_parameters():
 def test_gauss_newton_finds_the_truth():
     """From some pixels off the end is within 3 nats of the truth or above; every step goes up and stays inside."""
     for problem in problems(4):
-        path, costs = problem.maximise(problem.domain.bring(problem.start + [0.06, 0.03, -0.03]))
-        assert -costs[-1] > problem.log_density(problem.start) - 3.0
-        assert np.all(np.diff(costs) < 0)
+        path, densities = problem.maximise(problem.domain.bring(problem.start + [0.06, 0.03, -0.03]))
+        assert densities[-1] > problem.log_density(problem.start) - 3.0
+        assert np.all(np.diff(densities) > 0)
         assert np.allclose(problem.domain.bring(path[-1]), path[-1])
-
-
-@pytest.mark.slow
-def test_fixed_steps_climb_by_either_gradient():
-    """Figure 5's steps of alpha = 0.05 gain most of what there is to gain from a near start, by both derivatives."""
-    problem = next(problems(1))
-    truth = problem.log_density(problem.start)
-    start = problem.domain.bring(problem.start + [0.25, 0.1, -0.1])
-    for method in ("gradient", "finite-difference"):
-        _, costs = problem.maximise(start, method, iterations=12)
-        assert -costs.min() > truth - 0.2 * (truth + costs[0])
 
 
 def test_the_precision_at_the_mode_covers_the_truth():
@@ -108,7 +96,7 @@ def test_the_precision_at_the_mode_covers_the_truth():
 
 
 def test_climbing_from_a_draw_never_makes_it_worse():
-    """`climb` moves a state of the chains' own target uphill, by either derivative."""
+    """`climb` moves a state of the chains' own target uphill."""
     document = read_document(data_path("priors/figure-5.yaml"))
     (draw,) = draw_documents(document, 1, 5, {})
     depth = observe(draw.rng, render_depth(draw.graph.solids(), draw.camera)[0], draw.likelihood)
@@ -116,18 +104,10 @@ def test_climbing_from_a_draw_never_makes_it_worse():
     truth = np.array([draw.graph.numbers()[address] for address in target.space.addresses])
     start = truth + [0.06, 0.03, -0.03]
     before = target.log_likelihood(start)
-    for gradient in ("exact", "finite-difference"):
-        assert target.log_likelihood(climb(target, start, gradient)) > before + 100.0
     # The target's image has one ray a pixel: its own top is a fifth of a pixel from that of ours, which
     # flips some pixels of the outline, so the rest of the way belongs to the chains.
     top = target.log_likelihood(truth)
     assert top - target.log_likelihood(climb(target, start)) < 0.2 * (top - before)
-
-
-def test_faults():
-    problem = next(problems(1))
-    with pytest.raises(DerenderError, match="newton"):
-        problem.maximise(problem.start, "gaus-newton")
 
 
 RING = """

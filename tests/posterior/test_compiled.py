@@ -23,17 +23,16 @@ def world(request):
     return SceneWorld(SCENES[request.param])
 
 
-def both(world, names, cycle=False):
+def both(world, names):
     rng = np.random.default_rng(2)
     target = world.target(rng, world.sample(rng))
     parts = mixture(world.space, [{name: {}} for name in names])
-    return target, parts, CompiledBackend(target, parts, cycle), InterpretedBackend(target, parts, cycle)
+    return target, parts, CompiledBackend(target, parts), InterpretedBackend(target, parts)
 
 
-@pytest.mark.parametrize("cycle", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_same_random_numbers_same_steps(world, cycle):
+def test_same_random_numbers_same_steps(world):
     """Step by step, at several temperatures: the same kernel, the same decision, the same values to rounding."""
-    target, parts, compiled, plain = both(world, ALIKE, cycle)
+    target, parts, compiled, plain = both(world, ALIKE)
     values = world.sample(np.random.default_rng(1))
     archive = np.array([world.sample(np.random.default_rng(n)) for n in range(8)])
     moved = 0
@@ -41,8 +40,8 @@ def test_same_random_numbers_same_steps(world, cycle):
         tuning = first_tuning(world.space, values)._replace(
             temperature=(1.0, 0.1, 0.003)[number % 3], archive=archive if number % 2 else None
         )
-        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
-        slow = plain.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
+        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 1, 1)
+        slow = plain.sweep(np.random.default_rng(number), values, tuning, 1, 1)
         np.testing.assert_array_equal(fast.counts, slow.counts)
         np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
         np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)
@@ -126,8 +125,8 @@ def test_likelihood_numbers_change_in_between(text):
     values, moved = world.space.sample(np.random.default_rng(5)), 0
     for number in range(120):
         tuning = first_tuning(world.space, values)._replace(temperature=(1.0, 0.1, 0.003)[number % 3])
-        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
-        slow = plain.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
+        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 3, 2)
+        slow = plain.sweep(np.random.default_rng(number), values, tuning, 3, 2)
         np.testing.assert_array_equal(fast.counts, slow.counts)
         np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
         np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)

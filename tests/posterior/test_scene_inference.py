@@ -175,21 +175,15 @@ def test_no_structure_is_overlooked(monkeypatch):
 
 
 def test_settings_are_data():
-    text = TOWER + "inference: {kernels: [{resimulate: {weight: 1}}, drift], order: cycle, thin: 3, draws: 7}\n"
+    text = TOWER + "inference: {kernels: [{resimulate: {weight: 1}}, drift], thin: 3, draws: 7}\n"
     settings = read_settings(read(text).inference)
     assert settings.kernels == [{"resimulate": {"weight": 1}}, {"drift": None}]
-    assert settings.cycle and settings.thin == 3 and settings.draws == 7
+    assert settings.thin == 3 and settings.draws == 7
     assert read_settings(None) == Settings()
 
 
 @pytest.mark.parametrize(
-    "section, what",
-    [
-        ("{kernel: []}", "kernels"),
-        ("{order: circle}", "choose mixture or cycle"),
-        ("{thin: 0}", "thin"),
-        ("{kernels: [3]}", "not a name with options"),
-    ],
+    "section, what", [("{kernel: []}", "kernels"), ("{thin: 0}", "thin"), ("{kernels: [3]}", "not a name with options")]
 )
 def test_faults_in_settings_are_told(section, what):
     with pytest.raises(DerenderError, match=what):

@@ -26,7 +26,7 @@ from derender.posterior.compiled.model import (
     rescaled,
     taken_elsewhere,
 )
-from derender.posterior.compiled.prior import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
+from derender.posterior.compiled.prior import DENSITY, NEXT, NOW, PRIOR, Chain, Kernels, Model, Stretch
 from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
 from derender.posterior.target import SceneTarget
 
@@ -67,10 +67,8 @@ class InterpretedBackend(_Programmed):
     replaced : functions by name, in place of those that the sweep and the proposals call by that name.
     """
 
-    def __init__(
-        self, target: Target, parts: list[Part], cycle: bool = False, engine: Any = None, **replaced: Callable
-    ) -> None:
-        self.cycle, self.replaced, self._called, self._engine = cycle, replaced, list[Callable](), engine or self
+    def __init__(self, target: Target, parts: list[Part], engine: Any = None, **replaced: Callable) -> None:
+        self.replaced, self._called, self._engine = replaced, list[Callable](), engine or self
         space, size = target.space, len(target.space.addresses)
         taken = [part._replace(weight=0.0) if kernels[part.type].form == PLACING else part for part in parts]
         super().__init__(target, taken, frozenset(), [self._calls_of(part) for part in parts])
@@ -79,32 +77,27 @@ class InterpretedBackend(_Programmed):
         self._chain = Chain(
             values=np.zeros((2, size + 2)), numbers=NO_ARRAY, pose=NO_ARRAY, marks=NO_ARRAY, moved_pose=NO_ARRAY,
             moved_size=NO_ARRAY, tangents=np.zeros((2, max(int(space.directions[-1]), 3))),
-            relative=NO_ARRAY, flags=np.array([0, 0, cycle]),
+            relative=NO_ARRAY, flags=np.array([0]),
         )  # fmt: skip
         own: dict[str, Callable] = {"call_for_number": self._call, "evaluate": _evaluate, "settle": _settle}
         self._sweep = interpreted(sweep, **(own | replaced))
 
     def twin(self) -> "InterpretedBackend":
-        return InterpretedBackend(self.target, self.parts, self.cycle, **self.replaced)
+        return InterpretedBackend(self.target, self.parts, **self.replaced)
 
     def evaluate(self, values: np.ndarray) -> tuple[float, float]:
         """Return log prior and log likelihood; outside the prior's support the likelihood is not asked for."""
         log_prior = self.target.log_prior(values)
         return (log_prior, self.target.log_likelihood(values)) if log_prior > -math.inf else (-math.inf, -math.inf)
 
-    def sweep(
-        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
-    ) -> Stretch:
+    def sweep(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int) -> Stretch:
         """Take draws * thin steps from `values`; keep every `thin`-th state."""
-        return self.walked(rng, np.array([*values, *self.evaluate(values)]), tuning, draws, thin, taken)
+        return self.walked(rng, np.array([*values, *self.evaluate(values)]), tuning, draws, thin)
 
-    def walked(
-        self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
-    ) -> Stretch:
+    def walked(self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int) -> Stretch:
         """Return what `sweep` does, from (P + 2,) values with their log prior and log likelihood."""
         size = len(state) - 2
         self._chain.values[:] = state
-        self._chain.flags[STEPS] = taken
         kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
         self._sweep(rng, self._model, self.program(tuning), self._chain, self._engine, 0, draws, thin,
                     tuning.temperature, kept, counts)  # fmt: skip
@@ -148,13 +141,13 @@ class CompiledBackend(_Programmed):
     Raises NotCompiled : something of the model has no compiled form.
     """
 
-    def __init__(self, target: Any, parts: list[Part], cycle: bool = False) -> None:
-        self.cycle, self.model, self.held = cycle, model_of(target), held(target)
+    def __init__(self, target: Any, parts: list[Part]) -> None:
+        self.model, self.held = model_of(target), held(target)
         somewhere = target.space.sample(np.random.default_rng(0))
         self._first = target.graph(somewhere).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
-        chain = chain_of(target, cycle)
+        chain = chain_of(target)
         self._blank = chain, evaluator
         super().__init__(target, parts, taken_elsewhere(target, parts), calls_of(target, parts, self.model, chain))
         self._begin()
@@ -198,14 +191,11 @@ class CompiledBackend(_Programmed):
         chain = Chain(*(array.copy() for array in self._blank[0]))
         return places_seen(self.target, self.parts, self.model, chain, tuning.places)
 
-    def sweep(
-        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
-    ) -> Stretch:
+    def sweep(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int) -> Stretch:
         """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
         program, size = self.program(tuning), len(values)
         kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
         self.load(values)
-        self.chain.flags[STEPS] = taken
         now = self.chain.values[NOW]
         done, k = 0, -1
         while done < draws * thin:
@@ -225,11 +215,11 @@ class CompiledBackend(_Programmed):
 Backend = CompiledBackend | InterpretedBackend
 
 
-def backend_of(target: Any, parts: list[Part], cycle: bool = False) -> Backend:
+def backend_of(target: Any, parts: list[Part]) -> Backend:
     """Return what runs a mixture: compiled, or interpreted where something of the target has no compiled form."""
     if isinstance(target, SceneTarget):
         try:
-            return CompiledBackend(target, parts, cycle)
+            return CompiledBackend(target, parts)
         except NotCompiled as reason:
             target.uncompiled = str(reason)
-    return InterpretedBackend(target, parts, cycle)
+    return InterpretedBackend(target, parts)

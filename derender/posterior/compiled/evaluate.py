@@ -16,7 +16,6 @@ from derender.posterior.compiled.prior import (
     CONTACT,
     CONTACT_CODE,
     CUMULATIVE,
-    CYCLE,
     DENSITY,
     DIRTY,
     FACTOR_FIRST,
@@ -48,7 +47,6 @@ from derender.posterior.compiled.prior import (
     SIZES,
     SLOT,
     SOLID,
-    STEPS,
     TABLE,
     VERTEX,
     Chain,
@@ -243,12 +241,9 @@ ELSEWHERE = -1  # form of a kernel whose steps the caller takes
 
 
 @njit(cache=True, nogil=True)
-def pick(rng, numbers, flags):
-    """Return the number of the next kernel: by weight, or in turns."""
+def pick(rng, numbers):
+    """Return the number of the next kernel, by weight."""
     count = len(numbers)
-    flags[STEPS] += 1
-    if flags[CYCLE]:
-        return (flags[STEPS] - 1) % count
     threshold = rng.random() * numbers[count - 1, CUMULATIVE]
     for k in range(count - 1):
         if threshold < numbers[k, CUMULATIVE]:
@@ -267,7 +262,7 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
     unknowns, laws, values = model.unknowns, model.laws, chain.values
     size = model.places.shape[1]
     for taken in range(done, draws * thin):
-        k = pick(rng, kernels.numbers, chain.flags)
+        k = pick(rng, kernels.numbers)
         form = kernels.table[FORM, k]
         if form == ELSEWHERE:
             return taken, k

@@ -216,8 +216,8 @@ def held(target: "SceneTarget") -> dict[str, int]:
     }
 
 
-def chain_of(target: Any, cycle: bool) -> Chain:
-    """Return the arrays of a chain that stands at the template, not loaded yet. cycle : kernels take turns."""
+def chain_of(target: Any) -> Chain:
+    """Return the arrays of a chain that stands at the template, not loaded yet."""
     graph = target.template
     count, solids = len(graph.vertices), len(graph.solid_names)
     size, directions = len(target.space.addresses), int(target.space.directions[-1])
@@ -237,7 +237,7 @@ def chain_of(target: Any, cycle: bool) -> Chain:
         moved_size=np.zeros((solids, 3)),
         tangents=np.zeros((2, max(directions, 3))),
         relative=np.eye(4),
-        flags=np.array([0, 0, cycle], np.int64),
+        flags=np.zeros(1, np.int64),
     )
 
 

@@ -26,7 +26,7 @@ NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literal
 PRIOR, DENSITY = -2, -1  # the last columns of Chain.values
 SIZES, SHAPES = 7, 10  # columns of Chain.numbers where the extents and the shape's numbers begin, after the contact's
 DIRTY, KEPT, MOVED = range(3)  # rows of Chain.marks
-PENDING, STEPS, CYCLE = range(3)  # entries of Chain.flags
+PENDING = 0  # entry of Chain.flags
 
 
 class Model(NamedTuple):
@@ -84,7 +84,7 @@ class Chain(NamedTuple):
     moved_size: np.ndarray
     tangents: np.ndarray  # (2, D) float64, scratch
     relative: np.ndarray  # (4, 4), scratch
-    flags: np.ndarray  # (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns
+    flags: np.ndarray  # (1,) int64: whether a proposal is pending in the engine
 
 
 class Stretch(NamedTuple):
