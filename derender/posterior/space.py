@@ -78,10 +78,6 @@ class Space:
         """All unknowns as one block."""
         return Block("all", tuple(range(len(self.unknowns))))
 
-    def block(self, name: str) -> Block:
-        """Return the block of a name."""
-        return next(block for block in self.blocks if block.name == name)
-
     def sample(self, rng: np.random.Generator) -> np.ndarray:
         """Return (P,) values from the prior, in the order of the unknowns."""
         values = np.empty(self.offsets[-1])

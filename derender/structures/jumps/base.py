@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.posterior.kernels.base import directions_of
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
 from derender.sampling.metropolis import Info, decide
@@ -153,7 +154,7 @@ class Move:
 
     name: str = ""  # in the registry
     weight: float = 1.0  # share of the steps, before normalisation
-    even: bool = False  # whether q(u' | G') = q(u | G) always: then neither is computed
+    even: bool = False  # whether q(u' | G') = q(u | G) always: then there is no `log_choice`
 
     def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Any:
         """Return random choices u given the scene, or None where the move has nothing to do."""
@@ -228,53 +229,6 @@ def mixture() -> list[tuple[Move, float]]:
     return [(moves[name], moves[name].weight / total) for name in moves]
 
 
-def ranges(ends: np.ndarray, members: tuple[int, ...]) -> np.ndarray:
-    """Return the places of some unknowns among values (ends = Space.offsets) or tangents (Space.directions)."""
-    return np.concatenate([np.arange(ends[i], ends[i + 1]) for i in members])
-
-
-class Numbers(NamedTuple):
-    """block : of the space, such as "red.contact"; values : its new ones."""
-
-    block: str
-    values: tuple[float, ...]
-
-
-@moves.register("resimulate")
-class Resimulate(Move):
-    """Draw all free numbers of one object's contact, or of its shape, from their priors.
-
-    Scene and choices exchange numbers:
-    log ratio = log posterior(G') - log posterior(G) + log p(old numbers) - log p(new numbers).
-    """
-
-    def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Numbers | None:
-        target = words.coordinates(graph)
-        if target is None:
-            return None
-        block = target.space.blocks[int(rng.random() * len(target.space.blocks))]
-        values = target.values(graph)
-        for i in block.unknowns:
-            target.space.resample(rng, values, i)
-        return Numbers(block.name, tuple(values[ranges(target.space.offsets, block.unknowns)].tolist()))
-
-    def log_choice(self, words: Vocabulary, graph: SceneGraph, choice: Numbers) -> float:
-        space: Space = words.coordinates(graph).space
-        total, at = log_uniform_choice(len(space.blocks)), 0
-        for i in space.block(choice.block).unknowns:
-            law = space.unknowns[i].distribution
-            total += law.log_density(choice.values[at] if law.size == 1 else choice.values[at : at + law.size])
-            at += law.size
-        return total
-
-    def apply(self, words: Vocabulary, graph: SceneGraph, choice: Numbers) -> Applied:
-        target = words.coordinates(graph)
-        old = target.values(graph)
-        new, places = old.copy(), ranges(target.space.offsets, target.space.block(choice.block).unknowns)
-        new[places] = choice.values
-        return Applied(target.graph(new), choice._replace(values=tuple(old[places].tolist())))
-
-
 SHORTEST, LONGEST = 3e-4, 0.3  # of the prior's spread: length of a step, drawn evenly in its logarithm
 
 
@@ -316,21 +270,8 @@ class Wiggle(Move):
         share = SHORTEST * (LONGEST / SHORTEST) ** rng.random()
         if rng.random() < 0.5:
             members = (members[int(rng.random() * len(members))],)
-        spread = space.scales[ranges(space.directions, members)]
+        spread = space.scales[directions_of(space, Block("", members))]
         return Shift(name, members, share, share * spread * rng.standard_normal(len(spread)))
-
-    def log_choice(self, words: Vocabulary, graph: SceneGraph, choice: Shift) -> float:
-        space: Space = words.coordinates(graph).space
-        objects = self.objects(space)
-        width = choice.share * space.scales[ranges(space.directions, choice.members)]
-        ways = 0.5 * (choice.members == objects[choice.name]) + 0.5 * (len(choice.members) == 1) / len(
-            objects[choice.name]
-        )
-        return (
-            log_uniform_choice(len(objects))
-            + math.log(ways)
-            - float(np.sum(0.5 * (choice.tangent / width) ** 2 + np.log(width)))
-        )
 
     def apply(self, words: Vocabulary, graph: SceneGraph, choice: Shift) -> Applied:
         target = words.coordinates(graph)
