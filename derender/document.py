@@ -132,15 +132,18 @@ def read_document(path: str | Path) -> Document:
     return document_from(top, folder)
 
 
-def read_documents() -> list[Document]:
-    """Read one or several YAML documents from stdin, such as `derender sample -n 10 -o -` writes."""
+def read_documents() -> list[tuple[Document, str]]:
+    """Read one or several YAML documents from stdin, such as `derender sample -n 10 -o -` writes; return their texts
+    with them."""
     import sys
 
     data = sys.stdin.buffer.read()
     pieces = [piece for piece in re.split(rb"(?m)^---[ \t]*\r?\n", data) if piece.strip()] or [data]
     names = ["stdin"] if len(pieces) == 1 else [f"stdin, document {number}" for number in range(1, len(pieces) + 1)]
     tops = [parse_yaml(piece, name) for piece, name in zip(pieces, names, strict=True)]
-    return [document_from(top, Path.cwd()) for top in tops]
+    return [
+        (document_from(top, Path.cwd()), piece.decode("utf-8-sig")) for top, piece in zip(tops, pieces, strict=True)
+    ]
 
 
 def read_prior_document(name: str | Path) -> Document:

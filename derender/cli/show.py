@@ -1,4 +1,4 @@
-"""derender show: a scene graph as a tree, or as JSON."""
+"""derender show: a scene graph as a tree, or as JSON; a prior as its file has it."""
 
 import json
 from collections.abc import Iterator
@@ -8,13 +8,14 @@ from typing import Any
 import click
 
 from derender.cli import options
+from derender.errors import printable
 
 
 @click.command()
 @click.argument("scene", metavar="SCENE-or-DIR")
 @options.as_json
 def command(scene: str, as_json: bool) -> None:
-    """Print a scene file, a prior file, or the posterior in a folder written by `derender infer`, as a tree.
+    """Print a scene file, or the posterior in a folder that `derender infer` wrote, as a tree; a prior as its file is.
 
     A posterior is shown by its most probable scene, each object with its probability and that of its parents. The last
     line counts the continuous degrees of freedom. --json prints objects with type, size, pose in the camera's frame,
@@ -25,16 +26,15 @@ def command(scene: str, as_json: bool) -> None:
         derender show scene.yaml
         derender show results/ --json | python -m json.tool
         derender sample stack -o - | derender show -
-        derender show tabletop
+        derender show tabletop > mine.yaml
     """
     for lines in _shown(scene, as_json):
         click.echo(lines)
 
 
-def _shown(scene: str, as_json: bool) -> Iterator[Any]:
-    """Yield the text of each scene that the argument names."""
-    path = Path(scene)
-    if scene != "-" and path.is_dir():
+def _shown(scene: str, as_json: bool) -> Iterator[str]:
+    """Yield the text of each scene or prior that the argument names."""
+    if scene != "-" and Path(scene).is_dir():
         from derender.cli.reading import read_scene
 
         found = read_scene(scene)
@@ -42,21 +42,13 @@ def _shown(scene: str, as_json: bool) -> Iterator[Any]:
         return
     from derender.document import read_documents, read_prior_document
 
-    for document in read_documents() if scene == "-" else [read_prior_document(scene)]:
-        if as_json or document.is_scene:
-            yield _of_graph(document.graph, None, as_json)
-        else:
-            from derender.report.tree_text import likelihood_lines, prior_lines
-
-            yield "\n".join([*prior_lines(document.prior), *likelihood_lines(document.likelihood), *_where(scene)])
-
-
-def _where(name: str) -> list[str]:
-    """Return the line that says where a built-in prior's file is: whoever wants another one begins with a copy."""
-    from derender import data_path
-    from derender.document import built_in_priors
-
-    return [f"from {data_path(f'priors/{name}.yaml')}"] if name in built_in_priors() else []
+    if scene == "-":
+        told = read_documents()
+    else:
+        document = read_prior_document(scene)
+        told = [(document, Path(document.file).read_text(encoding="utf-8-sig"))]
+    for document, text in told:
+        yield _of_graph(document.graph, None, as_json) if as_json or document.is_scene else printable(text, "\n")
 
 
 def _of_graph(graph: Any, posterior: Any, as_json: bool) -> str:

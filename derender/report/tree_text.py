@@ -1,23 +1,13 @@
-"""A scene graph, or a prior, as a tree of lines for the terminal; the structures of a posterior in words."""
+"""A scene graph as a tree of lines for the terminal; the structures of a posterior in words."""
 
 import math
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.table import digits, probability_text
 from derender.sampling.diagnostics import within_a_turn
-from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.scene.priors.bare_image import BareImagePrior
-from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
 from derender.scene.priors.objects import ROTATION
-from derender.scene.priors.tree import TreePrior
-
-if TYPE_CHECKING:
-    from derender.document import LikelihoodPrior
-    from derender.scene.priors.objects import ContactRule
-    from derender.scene.priors.tree import TreeObject
 
 ALTERNATIVE = 0.005  # another parent is named from this probability on
 
@@ -27,37 +17,27 @@ def scene_lines(graph: SceneGraph, posterior: Any = None) -> list[str]:
 
     The last line counts the continuous degrees of freedom of the contacts.
     """
-    children: dict[str, list[Vertex]] = {}
-    for vertex in graph.vertices:
-        children.setdefault(vertex.parent, []).append(vertex)
-
-    def describe(vertex: Vertex) -> str:
+    below: dict[str, list[Vertex]] = {}  # the last first
+    for vertex in reversed(graph.vertices):
+        below.setdefault(vertex.parent, []).append(vertex)
+    x, y, z = graph.root_pose[:3, 3]
+    lines = [f"root  frame   at ({x:.3f}, {y:.3f}, {z:.3f}) m before the camera"]
+    # Without recursion, as stacks may be high.
+    waiting = [(vertex, "", number == 0) for number, vertex in enumerate(below.get(ROOT, ()))]
+    while waiting:
+        vertex, indent, last = waiting.pop()
         parts = [f"{vertex.name}  {vertex.shape}{_size(vertex)}", _contact(graph, vertex)]
         if vertex.supports:
             parts.append("also on " + ", ".join(vertex.supports))
         if posterior is not None:
             parts.append(_probabilities(vertex, posterior))
-        return "   ".join(part for part in parts if part)
-
-    x, y, z = graph.root_pose[:3, 3]
-    lines = [f"root  frame   at ({x:.3f}, {y:.3f}, {z:.3f}) m before the camera"]
-    lines += _branches(ROOT, children, describe)
+        lines.append(indent + ("└─ " if last else "├─ ") + "   ".join(filter(None, parts)))
+        deeper = indent + ("   " if last else "│  ")
+        waiting += [(child, deeper, number == 0) for number, child in enumerate(below.get(vertex.name, ()))]
     for constraint in graph.constraints:
         lines.append(f"{constraint.first} {constraint.type.replace('-', ' ')} {constraint.second}")
     count = graph.degrees_of_freedom()
     lines.append(f"{count} continuous degrees of freedom, {len(graph.vertices)} objects")
-    return lines
-
-
-def _branches(name: str, children: Mapping[str, list], describe: Callable[[Any], str]) -> list[str]:
-    """Return a line for each item below `name`, indented by its depth; without recursion, as stacks may be high."""
-    lines = []
-    waiting = [(item, "", number == 0) for number, item in enumerate(reversed(children.get(name, [])))]
-    while waiting:
-        item, indent, last = waiting.pop()
-        lines.append(indent + ("└─ " if last else "├─ ") + describe(item))
-        deeper = indent + ("   " if last else "│  ")
-        waiting += [(child, deeper, number == 0) for number, child in enumerate(reversed(children.get(item.name, [])))]
     return lines
 
 
@@ -101,79 +81,6 @@ def _probabilities(vertex: Vertex, posterior: Any) -> str:
     also = "".join(f", also {name} {digits(share)}" for name, share in others.items() if share >= ALTERNATIVE)
     there = probability_text(posterior.object_probability(vertex.name), posterior.object_probability_error(vertex.name))
     return f"p {there} (on {shares}{also})"
-
-
-def prior_lines(prior: Any) -> list[str]:
-    """Return the lines of a prior: its fixed objects with their distributions, then what grows."""
-    lines = ["root  frame   " + (_values(prior.root.free_addresses()) or "fixed")]
-    if isinstance(prior, TreePrior):
-        lines += _tree_lines(prior)
-        return [*lines, _unknowns(prior)]
-    if isinstance(prior, GrammarPrior):
-        if prior.base:
-            lines += _tree_lines(prior.tree)
-        lines += [f"on {name} grow  {count}" for name, count in prior.offspring.items()]
-        lines += _kinds(prior)
-        lines.append(f"a consistent grammar: mean offspring has the spectral radius {prior.spectral_radius:.3f}")
-        if isinstance(prior, BareImagePrior):
-            lines.append("of an image alone  " + _values({**vars(prior.loose)}))
-    elif isinstance(prior, Algorithm1Prior):
-        lines.append(f"parents  {{poisson: {prior.mean_parents:g}}}   children  {{poisson: {prior.mean_children:g}}}")
-        lines += _kinds(prior)
-    return lines
-
-
-def likelihood_lines(likelihood: "LikelihoodPrior | None") -> list[str]:
-    """Return the line of a prior's likelihood, its numbers and distributions; none where it says nothing of one."""
-    return [] if likelihood is None else [f"likelihood {likelihood.type}  {_values(likelihood.values)}".rstrip()]
-
-
-def _tree_lines(prior: TreePrior) -> list[str]:
-    children: dict[str, list] = {}
-    for item in prior.objects:
-        children.setdefault(item.parents[0], []).append(item)
-
-    def describe(item: "TreeObject") -> str:
-        parent = f"   on {item.parent}" if isinstance(item.parent, Categorical) else ""
-        free = _values(item.shape.free())
-        rules = " or ".join(_rule(rule) for rule in item.contact.rules)
-        return f"{item.name}  {item.shape.type}{' ' + free if free else ''}{parent}   {rules}"
-
-    return _branches(ROOT, children, describe)
-
-
-def _kinds(prior: Any) -> list[str]:
-    lines = []
-    for name, entry in prior.shapes.items():
-        weight = f"weight {entry.weight:g}  " if entry.weight != 1 else ""
-        lines.append(f"shape {name}  {weight}{_values(entry.free())}".rstrip())
-    return lines + [f"contact {_rule(rule)}" for rule in prior.contacts.rules]
-
-
-def _rule(rule: "ContactRule") -> str:
-    faces = [
-        f"{label} {face}" for label, face in (("on", rule.parent_face), ("by", rule.child_face)) if face is not None
-    ]
-    return "  ".join(part for part in (rule.type, *faces, _values(rule.values)) if part)
-
-
-def _values(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {_value(value)}" for name, value in values.items())
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Distribution):
-        return f"{value.name}({', '.join(f'{p:.4g}' for p in value.parameters)})"
-    if isinstance(value, tuple):
-        return "(" + ", ".join(f"{part:.4g}" for part in value) + ")"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _unknowns(prior: TreePrior) -> str:
-    import numpy as np
-
-    count = len(prior.free_addresses(prior.sample_unconstrained(np.random.default_rng(0))))
-    return f"{count} unknown numbers, {len(prior.objects)} objects"
 
 
 SHOWN_WEIGHT = 0.005  # less is none in two digits

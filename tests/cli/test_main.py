@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
-from derender import __version__
+from derender import __version__, data_path
 from derender.cli import COMMANDS, group, main
 from derender.cli.options import Talk
 from derender.errors import DerenderError
@@ -156,7 +156,7 @@ def test_a_name_that_steers_a_terminal_does_not_reach_it(capsys):
 
 def test_what_an_encoding_lacks_is_a_question_mark():
     process = subprocess.run(
-        [sys.executable, "-m", "derender", "show", "tabletop"],
+        [sys.executable, "-m", "derender", "show", data_path("scenes/figure-3-free.yaml")],
         capture_output=True,
         env={**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONPATH": str(Path(__file__).parents[2])},
     )
