@@ -14,6 +14,7 @@ the old and new rectangles of what moved plus the blur's margin. Each pixel's va
 in either way, so an incremental value equals the full one but for the order of float64 sums.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -22,19 +23,7 @@ import numpy as np
 
 from derender.compilation.cache import Kernel, address_of, call_for_nothing, call_for_number, njit
 from derender.render.raycast.depth import bound_address, rasterise_address
-from derender.render.raycast.lane_names import (
-    LANES,
-    add,
-    blur_along_row,
-    blur_window,
-    load,
-    multiply,
-    multiply_add,
-    new_window,
-    push,
-    splat,
-    store,
-)
+from derender.render.raycast.lane_names import LANES, blur_along_row, blur_window, load, new_window, push, store
 from derender.render.raycast.region import (
     DRAWN,
     SCORED,
@@ -82,11 +71,12 @@ from derender.render.raycast.state import (
 from derender.scene.solids import MESH
 
 
-def _make_blur(radius: int) -> Kernel:
-    """Compile the blur of one radius."""
+@functools.cache
+def blur_for(radius: int) -> Kernel:
+    """Return the kernel for a blur that reaches so many pixels, its taps unrolled."""
 
     @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
-    def blur_strips(source, result, strip, taps, left, right, top, bottom, height):
+    def blur_strips(source, result, taps, left, right, top, bottom, height):
         for column in range(left, right, LANES):
             first = max(top - radius, 0)
             latest = blur_along_row(source, first, column, taps, radius)
@@ -102,39 +92,6 @@ def _make_blur(radius: int) -> Kernel:
                 store(result, row, column, blur_window(window, taps))
 
     return blur_strips
-
-
-_UNROLLED = {radius: _make_blur(radius) for radius in (1, 2, 3, 5, 6)}
-
-
-@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
-def _blur_nothing(source, result, strip, taps, left, right, top, bottom, height):
-    for row in range(top, bottom):
-        for column in range(left, right, LANES):
-            store(result, row, column, load(source, row, column))
-
-
-@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
-def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
-    radius = taps.shape[0] - 1
-    for column in range(left, right, LANES):
-        for row in range(max(top - radius, 0), min(bottom + radius, height)):
-            value = multiply(splat(taps[0]), load(source, row, column))
-            for k in range(1, radius + 1):
-                sides = add(load(source, row, column - k), load(source, row, column + k))
-                value = multiply_add(splat(taps[k]), sides, value)
-            store(strip, row, 0, value)
-        for row in range(top, bottom):
-            value = multiply(splat(taps[0]), load(strip, row, 0))
-            for k in range(1, radius + 1):
-                sides = add(load(strip, max(row - k, 0), 0), load(strip, min(row + k, height - 1), 0))
-                value = multiply_add(splat(taps[k]), sides, value)
-            store(result, row, column, value)
-
-
-def blur_for(radius: int) -> Kernel:
-    """Return the kernel for a blur that reaches so many pixels."""
-    return _UNROLLED.get(radius, _blur_wide) if radius else _blur_nothing
 
 
 SCORES = {GAUSSIAN: score_gaussian, ROBUST: score_robust, CORRELATED: score_correlated}
@@ -194,9 +151,9 @@ def _prepare(state, half, k):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
-def _rescore(settings, parameters, total, taps, images, strip, region):
+def _rescore(settings, parameters, total, taps, images, region):
     whole_image(settings, region)
-    total[CURRENT], _ = score_region(settings, parameters, taps, images, strip, CURRENT, region)
+    total[CURRENT], _ = score_region(settings, parameters, taps, images, CURRENT, region)
     settings[STALE] = 1
     return _log_likelihood(settings, parameters, total[CURRENT])
 
@@ -204,9 +161,7 @@ def _rescore(settings, parameters, total, taps, images, strip, region):
 @njit(cache=True, nogil=True, borrows=True)
 def rescore_state(state):
     """Blur and score the current scene anew without drawing it; returns its log likelihood."""
-    return _rescore(
-        state.settings, state.parameters, state.total, state.taps, state.images, state.strip, state.regions[SCORED, 0]
-    )
+    return _rescore(state.settings, state.parameters, state.total, state.taps, state.images, state.regions[SCORED, 0])
 
 
 @njit(cache=True, nogil=True, borrows=True)
@@ -227,7 +182,7 @@ def load_state(state, poses, sizes):
     whole_image(settings, region)
     call_for_nothing(settings[DRAW], settings, state.parameters, state.images, state.kind, state.prepared,
                      state.rectangle, CURRENT, region)  # fmt: skip
-    return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
+    return _rescore(settings, state.parameters, state.total, state.taps, state.images, region)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
@@ -294,9 +249,7 @@ def propose_state(state, count, indices, poses, sizes):
             settings[DRAW], settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE, regions[DRAWN, n]
         )
     for n in range(settings[REGIONS]):
-        new, old = score_region(
-            settings, state.parameters, state.taps, images, state.strip, CANDIDATE, regions[SCORED, n]
-        )
+        new, old = score_region(settings, state.parameters, state.taps, images, CANDIDATE, regions[SCORED, n])
         change += new - old
     total[CANDIDATE] = total[CURRENT] + change
     return _log_likelihood(settings, state.parameters, total[CANDIDATE])
@@ -360,7 +313,7 @@ def new_engine(*image: Any) -> EngineState:
 
 def _blur_address(state: EngineState) -> int:
     kernel, image, index = blur_for(int(state.settings[RADIUS])), state.images[0], CURRENT
-    return address_of(kernel, image, image, state.strip, state.taps, *5 * [index])
+    return address_of(kernel, image, image, state.taps, *5 * [index])
 
 
 def with_blur(state: EngineState, blur: float) -> EngineState:
@@ -446,7 +399,7 @@ def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
 def _engine(engines, view):
     return EngineState(
         engines.settings[view], engines.parameters[view], engines.total[view], engines.taps[view],
-        engines.images[view], engines.strip[view], engines.kind[view], engines.pose[view], engines.size[view],
+        engines.images[view], engines.kind[view], engines.pose[view], engines.size[view],
         engines.prepared[view], engines.rectangle[view], engines.lists[view], engines.regions[view],
         engines.vertices[view], engines.triangles[view], engines.starts[view], engines.extents[view],
         engines.points[view],

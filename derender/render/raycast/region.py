@@ -86,7 +86,7 @@ def draw_region(settings, parameters, images, kind, prepared, rectangle, half, r
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
-def score_region(settings, parameters, taps, images, strip, half, region):
+def score_region(settings, parameters, taps, images, half, region):
     """Blur and score a half in a region (columns a multiple of LANES).
 
     Returns the sum of its new scores and of the scores that the current half had there before (after the first, full
@@ -94,9 +94,7 @@ def score_region(settings, parameters, taps, images, strip, half, region):
     """
     height = settings[HEIGHT]
     left, right, top, bottom = region[0] + PAD, region[1] + PAD, region[2], region[3]
-    call_for_nothing(
-        settings[BLUR], images[DEPTH + half], images[SCORE + half], strip, taps, left, right, top, bottom, height
-    )
+    call_for_nothing(settings[BLUR], images[DEPTH + half], images[SCORE + half], taps, left, right, top, bottom, height)
     return call_for_two_numbers(settings[RATE], parameters, images, half, left, right, top, bottom, height)
 
 

@@ -56,7 +56,6 @@ class EngineState(NamedTuple):
     total: np.ndarray  # (2,) float64, sums of the scores
     taps: np.ndarray  # (R + 1,) float32, blur weights from the centre outwards
     images: np.ndarray
-    strip: np.ndarray  # (H, LANES) float32, scratch for wide blurs
     kind: np.ndarray  # (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's
     pose: np.ndarray
     size: np.ndarray
@@ -138,7 +137,6 @@ def new_state(
         total=np.zeros(2),
         taps=taps,
         images=images,
-        strip=np.zeros((height, LANES), np.float32),
         kind=kinds,
         pose=np.zeros((2, count, 4, 4)),
         size=np.zeros((2, count, 3)),

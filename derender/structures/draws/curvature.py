@@ -153,7 +153,7 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
             continue
         limit_at_border(change, weight, height, width)
         right = left + (right - left + LANES - 1) // LANES * LANES
-        call_for_nothing(settings[BLUR], change, images[n], engine.strip, engine.taps, left + PAD, right + PAD, top,
+        call_for_nothing(settings[BLUR], change, images[n], engine.taps, left + PAD, right + PAD, top,
                          bottom, height)  # fmt: skip
         for row in range(top, bottom):
             for column in range(left + PAD, right + PAD):
