@@ -88,7 +88,7 @@ MUTATIONS = [
         ("resimulate: own prior left out", "posterior/kernels/base.py",
          "return log_prior(unknowns, laws, values[NOW]) - log_prior(unknowns, laws, values[NEXT])", "return 0.0",
          KERNELS),
-        ("jump: a third of a turn", "posterior/kernels/base.py", "values[NOW, start] + 0.5 * period",
+        ("flip: a third of a turn", "posterior/kernels/base.py", "values[NOW, start] + 0.5 * period",
          "values[NOW, start] + 0.33 * period", KERNELS),
         ("space: turns of twice the length", "posterior/space.py", "scale = 0.5 if angle < 1e-12 else math.sin(0.5 *",
          "scale = 0.5 if angle < 1e-12 else math.sin(1.0 *", KERNELS),

@@ -249,14 +249,13 @@ class SceneTarget:
 def default_parts() -> list[dict[str, Mapping[str, Any]]]:
     """Return the default mixture as data, as a prior file would write it.
 
-    Local steps do the work; what is put down anew, and jumps, leave a wrong basin; resimulation is the paper's.
+    Local steps do the work; what is put down anew, and flips, leave a wrong basin; resimulation is the paper's.
     """
     return [
         {"relocate": {"weight": 0.55}},
         {"drift": {"weight": 0.2}},
         {"slide": {"weight": 0.2}},
         {"drift-all": {"weight": 0.1}},
-        {"jump": {"weight": 0.01}},
-        {"flip": {"weight": 0.01}},
+        {"flip": {"weight": 0.02}},
         {"resimulate": {"weight": 0.02}},
     ]

@@ -9,7 +9,7 @@ from derender import data_path
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.posterior import sampler
 from derender.posterior.kernels import mixture
-from derender.posterior.kernels.relocate import fitted, mixture_density
+from derender.posterior.kernels.relocate import fitted, seen_place
 from derender.posterior.sampler import MixtureSampler, Population, Settings, Walk
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
@@ -110,17 +110,15 @@ def test_place_mixture_is_a_density_around_the_seam(size):
     period = np.pi / 2
     centres = np.concatenate([rng.normal(0.0, 0.05, (40, size)), rng.normal(0.3, 0.02, (40, size))])
     centres[:, 0] %= period
-    mixture_of_places = fitted(centres, (period, *[0.0] * (size - 1)))
-    drawn = []
+    periods = np.array([period, *[0.0] * (size - 1)])
+    places, drawn, weights = fitted(centres, tuple(periods)), [], []
     for _ in range(20_000):
-        k = int(rng.integers(len(centres)))
-        step = mixture_of_places.factors[k] @ rng.standard_normal(size) * np.sqrt(5 / rng.chisquare(5))
-        if abs(step[0]) <= period / 2:
-            drawn.append(centres[k] + step)
-    drawn = np.array(drawn)
-    drawn[:, 0] %= period
-    places, periods = mixture_of_places.flat(), mixture_of_places.periods
-    weights = np.array([1 / mixture_density(places, periods, place) for place in drawn])
+        new = np.empty(size)
+        log_ratio = seen_place(rng, places, periods, centres[0], new)
+        if not np.isnan(log_ratio):
+            drawn.append(new)
+            weights.append(np.exp(log_ratio))
+    drawn, weights = np.array(drawn), np.array(weights)
     estimates = []
     for low in (-0.02, 0.28):
         turned = (drawn[:, 0] - low) % period < 0.04

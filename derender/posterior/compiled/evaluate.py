@@ -392,7 +392,7 @@ def stand_all(model, chain, archive, objects, places):
 def put_down(rng, vertices, laws, numbers, pose, relative, there, told, places, propose_at):
     """Write the pose `there` (4, 4) of a vertex; return the proposal's log ratio, NaN where there is none.
 
-    told : the vertex, the vertex and face below it, and the unknown that turns it. places : see PlaceMixture.flat.
+    told : the vertex, the vertex and face below it, and the unknown that turns it. places : see relocate.fitted.
     propose_at : address of the kernel's proposal, from an old place to a new one.
     """
     n, base, face = told[0], told[1], told[2]

@@ -322,7 +322,7 @@ def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: C
         return {}
     places = np.empty((len(chosen), len(archive), 3))
     stand_all(model, chain, np.ascontiguousarray(archive, float), np.array(list(chosen.values())).T.copy(), places)
-    return {k: (told, fitted(seen, (float(model.laws[told[3], FOLD_PERIOD]), 0.0, 0.0)).flat())
+    return {k: (told, fitted(seen, (float(model.laws[told[3], FOLD_PERIOD]), 0.0, 0.0)))
             for (k, told), seen in zip(chosen.items(), places, strict=True)}  # fmt: skip
 
 

@@ -59,7 +59,7 @@ class Kernels(NamedTuple):
         keeps them and of what puts objects down.
     members : flat int64, unknowns; of what puts an object down: see `object_below`.
     factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
-        PlaceMixture.flat.
+        relocate.fitted.
     """
 
     table: np.ndarray

@@ -324,22 +324,29 @@ def half_turn(unknowns, laws, values, i):
 
 
 @njit(cache=True, nogil=True)
-def jumped(rng, unknowns, laws, values, tangents, members, factor, scale):
-    """Add half a period to one angle of the block, chosen at random.
+def flipped(rng, unknowns, laws, values, tangents, members, factor, scale):
+    """Add half a period to one angle of the block, chosen at random; exchange the box's sides too, every other time.
 
-    Half a period forward is half a period back, and each angle is chosen with the same probability both ways; adding a
-    constant on a circle keeps lengths, so the Jacobian is one:
+    An involution: half a period forward is half a period back, exchanging twice is nothing, and each has the same
+    probability both ways. It permutes coordinates of one unit and shifts one on a circle, so the Jacobian is one:
     log ratio = log posterior(new) - log posterior(old).
+
+    members : for each angle three unknowns: itself, and the length and width that it may exchange, or -1 twice.
     """
-    half_turn(unknowns, laws, values, members[int(rng.random() * len(members))])
+    chosen = 3 * int(rng.random() * (len(members) // 3))
+    half_turn(unknowns, laws, values, members[chosen])
+    if members[chosen + 1] >= 0 and rng.random() < 0.5:
+        length, width = unknowns[OFFSET, members[chosen + 1]], unknowns[OFFSET, members[chosen + 2]]
+        values[NEXT, length], values[NEXT, width] = values[NOW, width], values[NOW, length]
     return 0.0
 
 
-@kernels.register("jump")
-class JumpType(KernelType):
-    """Turn an object by half the period of its angle: a quarter turn for a box, an eighth for a cube."""
+@kernels.register("flip")
+class FlipType(KernelType):
+    """Turn an object by half the period of its angle, a quarter turn for a box, whose length and width may change
+    places then."""
 
-    proposal = jumped
+    proposal = flipped
 
     def applies(self, space: Space, block: Block) -> bool:
         return bool(self.members(space, block))
@@ -348,49 +355,11 @@ class JumpType(KernelType):
         return ()  # half periods alone reach two places
 
     def members(self, space: Space, block: Block) -> Sequence[int]:
-        return [i for i in block.unknowns if space.unknowns[i].period is not None]
-
-
-@njit(cache=True, nogil=True)
-def flipped(rng, unknowns, laws, values, tangents, members, factor, scale):
-    """theta -> theta + pi/2 (half its period), length <-> width, of one box chosen at random.
-
-    An involution (twice half a period is none, exchanging twice is nothing) that permutes coordinates of one unit and
-    shifts an angle: its Jacobian is one.
-    log ratio = log posterior(new) - log posterior(old); on a plane the likelihoods are equal.
-    """
-    chosen = 3 * int(rng.random() * (len(members) // 3))
-    half_turn(unknowns, laws, values, members[chosen])
-    length, width = unknowns[OFFSET, members[chosen + 1]], unknowns[OFFSET, members[chosen + 2]]
-    values[NEXT, length], values[NEXT, width] = values[NOW, width], values[NOW, length]
-    return 0.0
-
-
-def flips_of(space: Space) -> list[tuple[int, int, int]]:
-    """Return (theta, length, width), as unknowns, of every box of which all three are unknown."""
-    index = {unknown.address: i for i, unknown in enumerate(space.unknowns)}
-    found = []
-    for address, theta in index.items():
-        name, _, rest = address.partition(".")
-        if rest == "contact.theta" and space.unknowns[theta].period is not None:
-            length, width = index.get(f"{name}.length"), index.get(f"{name}.width")
-            if length is not None and width is not None:
-                found.append((theta, length, width))
-    return found
-
-
-@kernels.register("flip")
-class FlipType(KernelType):
-    """Turn a box by a quarter and exchange its length and width."""
-
-    per_block = False
-    proposal = flipped
-
-    def applies(self, space: Space, block: Block) -> bool:
-        return bool(flips_of(space))
-
-    def moves(self, space: Space, block: Block) -> Sequence[int]:
-        return ()
-
-    def members(self, space: Space, block: Block) -> Sequence[int]:
-        return [unknown for triple in flips_of(space) for unknown in triple]
+        index = {unknown.address: i for i, unknown in enumerate(space.unknowns)}
+        told: list[int] = []
+        for i in block.unknowns:
+            name, _, rest = space.unknowns[i].address.partition(".")
+            if space.unknowns[i].period is not None:
+                sides = index.get(f"{name}.length"), index.get(f"{name}.width")
+                told += (i, -1, -1) if None in sides or rest != "contact.theta" else (i, *sides)  # type: ignore[arg-type]
+        return told

@@ -1,13 +1,12 @@
 """Objects put down anew in the world, where warm-up saw them; their children stay where they are.
 
-`PlaceMixture` is a density over places of one object, fitted to those that warm-up saw: it follows every mode, however
-narrow.
+A place is drawn from a mixture of multivariate t distributions with equal weights, one about each place (angle, x, y)
+that warm-up saw (`fitted`): it follows every mode, however narrow.
 """
 
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,25 +21,6 @@ LEAST = 1e-5  # radians and metres, a floor of the spread
 UNSEEN = (0.2, 0.02)  # spread of angles and of lengths about the places where there are few
 
 
-class PlaceMixture(NamedTuple):
-    """Multivariate t distributions with 5 degrees of freedom and equal weights, one about each of K places.
-
-    A place is D numbers, lengths and angles: (angle, x, y) of an object.
-    """
-
-    centres: np.ndarray  # (K, D) float64
-    factors: np.ndarray  # (K, D, D) float64, lower triangular
-    inverses: np.ndarray  # theirs
-    periods: np.ndarray  # (D,) float64, of angles, which live on circles; 0 of lengths
-
-    def flat(self) -> np.ndarray:
-        """Return flat float64: centre, lower triangle, the inverse's, its determinant; each number of all K at once."""
-        below = np.tril_indices(len(self.periods))
-        determinants = np.prod(np.diagonal(self.inverses, axis1=1, axis2=2), axis=1)
-        rows = [self.centres, self.factors[:, *below], self.inverses[:, *below], determinants[:, None]]
-        return np.concatenate(rows, axis=1).T.ravel()
-
-
 def shortest(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
     """Return (..., D) steps with those of angles taken the short way."""
     turns = periods > 0.0
@@ -49,8 +29,11 @@ def shortest(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
     return steps
 
 
-def fitted(centres: np.ndarray, periods: tuple[float, ...]) -> PlaceMixture:
+def fitted(centres: np.ndarray, periods: tuple[float, ...]) -> np.ndarray:
     """Return the mixture about (K, D) places; each component has the covariance of its nearest neighbours.
+
+    Flat float64: centre, lower triangle of the Cholesky factor, that of its inverse, whose determinant; each number of
+    all K at once. periods : of the angles, which live on circles; 0 of lengths.
 
     So each is as wide and as slanted as the posterior is there. Near is meant in units of the components' harmonic mean
     covariance, found with a first round in units of all places'.
@@ -59,7 +42,7 @@ def fitted(centres: np.ndarray, periods: tuple[float, ...]) -> PlaceMixture:
 
 
 @functools.lru_cache(128)
-def _fitted(content: bytes, periods: tuple[float, ...]) -> PlaceMixture:
+def _fitted(content: bytes, periods: tuple[float, ...]) -> np.ndarray:
     size, around = len(periods), np.array(periods)
     centres = np.frombuffer(content).reshape(-1, size)
     steps = shortest(centres[None] - centres[:, None], around)
@@ -77,15 +60,18 @@ def _fitted(content: bytes, periods: tuple[float, ...]) -> PlaceMixture:
             close = np.take_along_axis(steps, nearest[..., None], axis=1)
             covariances = close.transpose(0, 2, 1) @ close / near + floor
             metric = np.linalg.inv(np.linalg.inv(covariances).mean(axis=0))
-    factors = np.linalg.cholesky(covariances)
-    return PlaceMixture(centres, factors, np.linalg.inv(factors), around)
+    factors, below = np.linalg.cholesky(covariances), np.tril_indices(size)
+    inverses = np.linalg.inv(factors)
+    determinants = np.prod(np.diagonal(inverses, axis1=1, axis2=2), axis=1)
+    rows = [centres, factors[:, *below], inverses[:, *below], determinants[:, None]]
+    return np.concatenate(rows, axis=1).T.ravel()
 
 
 @njit(cache=True, nogil=True)
 def mixture_density(places, periods, place):
     """Return q(place) up to its constant; steps of more than half a period are never proposed.
 
-    places : see PlaceMixture.flat. periods : of the angles, 0 of lengths.
+    places : see `fitted`. periods : of the angles, 0 of lengths.
 
     Number by number over all components, and not component by component: so the processor takes several at once.
     """
@@ -131,7 +117,7 @@ def mixture_density(places, periods, place):
 def seen_place(rng, places, periods, old, new):
     """Propose a place w' = (angle, x, y) on the floor below the object, from a mixture q over the places of an archive.
 
-    The archive was filled in warm-up by all chains and is frozen; q (`PlaceMixture`) does not look at the present
+    The archive was filled in warm-up by all chains and is frozen; q (`fitted`) does not look at the present
     place. A tangent beyond half an angle's period is refused: that is a proposal to stay, and q elsewhere is what it
     was. In the world's coordinates what is seen of one object hardly depends on where the others are, as it does in
     those of its contact, which hang on the parent.
