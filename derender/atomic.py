@@ -106,10 +106,7 @@ def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
             from concurrent.futures import ThreadPoolExecutor
 
             written = sorted(temporary.iterdir())
-            for name in names:
-                if (folder / name).is_dir():
-                    remedy = "move it away or choose another place"
-                    raise DerenderError("this is a folder", folder / name, remedy)
+            check_files(folder, names)
             with ThreadPoolExecutor(len(written) or 1) as pool:  # one wait for the disk is as long as that for them all
                 list(pool.map(_to_disk, written))
             with locked(folder):  # another process may write a set there too, or read one
@@ -163,6 +160,13 @@ def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
         yield held and folder.exists()
     finally:
         os.close(handle)
+
+
+def check_files(folder: Path, names: Iterable[str]) -> None:
+    """Raise a DerenderError where something of these names is there and is no file: reading a pipe waits for ever."""
+    for path in (folder / name for name in names):
+        if path.exists() and not path.is_file():
+            raise DerenderError("this is no file", path, "move it away or choose another place")
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -67,7 +67,7 @@ def test_a_set_of_files_comes_together_or_not_at_all(tmp_path):
         write_text(place / "c", "3")
     assert sorted(os.listdir(tmp_path)) == ["a", "c", "mine"] and (tmp_path / "a").read_text() == "3"
     (tmp_path / "b").mkdir()
-    with pytest.raises(DerenderError, match="this is a folder"), files_together(tmp_path, names) as place:
+    with pytest.raises(DerenderError, match="this is no file"), files_together(tmp_path, names) as place:
         write_text(place / "a", "4")
     assert (tmp_path / "a").read_text() == "3"
 

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import re
+import threading
 import time
 import warnings
 import zipfile
@@ -203,9 +204,10 @@ def test_meshes_beyond_limits_are_told(tmp_path, monkeypatch):
     path.write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
     with pytest.raises(DerenderError, match="finite|flat"):
         load_mesh(path)
-    path.write_text("v 1e22 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
-    with pytest.raises(DerenderError, match="too far away"), warnings.catch_warnings(action="error"):
-        load_mesh(path)
+    for far in ("1e22", "1e305"):
+        path.write_text(f"v {far} 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+        with pytest.raises(DerenderError, match="too far away"), warnings.catch_warnings(action="error"):
+            load_mesh(path)
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(DerenderError, match="flat"):
         load_mesh(path)
@@ -215,6 +217,19 @@ def test_meshes_beyond_limits_are_told(tmp_path, monkeypatch):
         load_mesh(path)
     with pytest.raises(DerenderError, match="null"):
         load_mesh("a\0b.obj")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes have names here")
+@pytest.mark.parametrize("name", ["scene.yaml", "posterior.npz", "observation.npz", "simulation.json"])
+def test_a_pipe_among_results_is_told(tmp_path, saved, name):
+    (tmp_path / "posterior.npz").write_bytes(saved[0])
+    (tmp_path / "scene.yaml").write_text(TOWER)
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / name)
+    writer = threading.Thread(target=lambda: (tmp_path / name).open("wb").close(), daemon=True)
+    writer.start()  # so that who opens it does not wait for ever
+    done = CliRunner().invoke(group, ["view", str(tmp_path), "--no-open"])
+    assert str(done.exception).startswith(f"{tmp_path / name}: this is no file"), done.exception
 
 
 def test_a_tiff_of_several_pages_is_told(tmp_path):

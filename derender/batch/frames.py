@@ -266,7 +266,7 @@ def failure(frame: Frame, why: str) -> Done:
 
 def is_done(folder: Path) -> bool:
     """Return whether a frame's folder is whole: its thumbnail is written last."""
-    return (folder / RESULT).exists() and (folder / THUMBNAIL).exists()
+    return (folder / RESULT).is_file() and (folder / THUMBNAIL).is_file()
 
 
 def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 from derender import __version__
-from derender.atomic import locked, make_folder, write_text
+from derender.atomic import check_files, locked, make_folder, write_text
 from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in
 from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
@@ -31,6 +31,7 @@ class Ledger:
 
     def __init__(self, folder: str | Path, order: Order) -> None:
         self.folder = make_folder(folder)
+        check_files(self.folder, (RUN, LEDGER, TABLE, PAGE))
         self._check(order)
         self.rows: dict[str, list[dict[str, Any]]] = {}
         self._read()

@@ -5,6 +5,7 @@ from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from derender.atomic import check_files
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ class Found(NamedTuple):
 def read_scene_document(path: str) -> "Document":
     """Read a scene or prior file (`-`: stdin), or the most probable scene in a folder written by `derender infer`."""
     from derender.document import built_in_priors, read_document
+    from derender.report.result_folder import WRITTEN
 
     folder = Path(path)
     if path in built_in_priors() and not folder.exists():
@@ -37,6 +39,7 @@ def read_scene_document(path: str) -> "Document":
         return read_document(path)
     if not (folder / "scene.yaml").exists():
         raise no_scene(folder)
+    check_files(folder, WRITTEN)
     return read_document(folder / "scene.yaml")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.camera.image_files import read_numbers
 from derender.errors import DerenderError
-from derender.json_text import parse_json
+from derender.json_text import misfit, parse_json
 
 MILLIMETRE = 1e-3
 TURNS = 64  # by which a continuous symmetry is stood for
@@ -146,39 +146,33 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
     raise DerenderError("neither a scene of `derender show --json` nor a scene_gt.json of BOP", path)
 
 
+SIZE = {(float, float, float), None}
+# What a comparison needs of a scene, as `misfit` takes it.
+SCENE = {"gravity?": object, "objects": [{
+    "name": str, "type": str, "size": SIZE, "pose": ((float, float, float, float),) * 4, "parent?": {str, None},
+    "supports?": [str], "vertices?": [(float, float, float)],
+}]}  # fmt: skip
+
+
 def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, Any]:
     """Return a scene after checking what the comparison needs: names, types, sizes, rigid poses, gravity.
 
     Raises DerenderError : says which object lacks what.
     """
-    seen: set[str] = set()
-    for number, item in enumerate(tree["objects"]):
-        if not isinstance(item, Mapping) or not isinstance(item.get("name"), str):
-            raise DerenderError(f"object {number} has no name", where)
-        name = item["name"]
-        if name in seen:
+    if wrong := misfit(tree, SCENE, "scene"):
+        raise DerenderError(f"{wrong} is not as `derender show --json` has it", where)
+    names = [item["name"] for item in tree["objects"]]
+    for item in tree["objects"]:
+        name, size, turn = item["name"], item["size"], np.array(item["pose"], float)[:3, :3]
+        if names.count(name) > 1:
             raise DerenderError(f"two objects are called {name!r}", where)
-        seen.add(name)
-        if not isinstance(item.get("type"), str):
-            raise DerenderError(f"{name} has no type", where)
-        pose = numbers_of(item.get("pose"), (4, 4))
-        if pose is None or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4):
-            raise DerenderError(
-                f"the pose of {name} is not a rigid 4x4 matrix", where, "rows, object to camera, metres"
-            )
-        size = item.get("size")
-        if size is not None:
-            extents = numbers_of(size, (3,))
-            if extents is None or not np.all(extents > 0):
-                raise DerenderError(
-                    f"the size of {name} is not three positive lengths", where, "metres; null for a plane"
-                )
-        elif item["type"] not in ("plane", "frame"):
-            raise DerenderError(f"{name} has no size", where, "three lengths in metres")
-    scene = dict(tree)
-    gravity = numbers_of(tree.get("gravity", (0.0, 0.0, 0.0)), (3,))
-    scene["gravity"] = [0.0, 0.0, 0.0] if gravity is None else gravity.tolist()
-    return scene
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4):
+            remedy = "rows, object to camera, metres"
+            raise DerenderError(f"the pose of {name} is not a rigid 4x4 matrix", where, remedy)
+        if item["type"] not in ("plane", "frame") and (size is None or min(size) <= 0.0):
+            raise DerenderError(f"the size of {name} is not three positive lengths", where, "metres; null for a plane")
+    gravity = numbers_of(tree.get("gravity"), (3,))
+    return dict(tree) | {"gravity": [0.0, 0.0, 0.0] if gravity is None else gravity.tolist()}
 
 
 def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:

@@ -37,7 +37,7 @@ def load(path: str | Path) -> Scene | Document | Posterior:
     """
     if Path(path).is_dir():
         image = Path(path) / "observation.npz"
-        return Posterior.of(kept.load(path), read_depth(image) if image.exists() else None)
+        return Posterior.of(kept.load(path), read_depth(image) if image.is_file() else None)
     if Path(path).suffix == ".npz":
         return Posterior.of(kept.load(path), None)
     document = read_prior_document(path)

@@ -7,7 +7,9 @@ No files are touched; ten thousand calls cost ten thousand simulations. What is 
 CSV and the terminal, with what physics had to assume of a scene that could not be.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -142,18 +144,18 @@ def outcomes(
         rng = np.random.default_rng([seed, item[0]])
         return simulate_scene(item[1], engine=engine, duration=duration, what=what, rng=rng)
 
-    if until is not None:
-        happened: list[bool] = []
-        for outcome in map(run, enumerate(scenes)):
-            happened.append(bool(event(outcome)))
+    happened: list[bool] = []
+    numbered = enumerate(scenes)
+    with ThreadPoolExecutor(jobs) as pool:
+        begun = deque(pool.submit(run, item) for item in islice(numbered, jobs))
+        while begun:
+            outcome = begun.popleft().result()
+            begun.extend(pool.submit(run, item) for item in islice(numbered, 1))
             yield outcome
-            if len(happened) >= LEAST_DRAWS and chance_of(happened).error <= until:
-                return
-    elif jobs == 1:
-        yield from map(run, enumerate(scenes))
-    else:
-        with ThreadPoolExecutor(jobs) as pool:
-            yield from pool.map(run, enumerate(scenes))
+            if until is not None:
+                happened.append(bool(event(outcome)))
+                if len(happened) >= LEAST_DRAWS and chance_of(happened).error <= until:
+                    return
 
 
 def chance_of(happened: Sequence[bool], before: float = 0.5, missed: float = 0.0) -> Chance:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from derender import __version__
-from derender.atomic import atomic_path
+from derender.atomic import atomic_path, check_files
 from derender.camera.intrinsics import Camera
 from derender.document import document_from, document_text
 from derender.errors import DerenderError
@@ -265,6 +265,7 @@ def load(path: str | Path) -> Posterior:
         path = path / "posterior.npz"
     if not path.exists():
         raise DerenderError("there is no posterior here", path, "derender infer IMAGE -o DIR writes one")
+    check_files(path.parent, [path.name])
     try:
         with np.load(path, allow_pickle=False) as file:
             header = parse_json(bytes(file["header"]))
@@ -313,6 +314,7 @@ def plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else str(value)
 
 
+TURNS_SLIP = 1e-6  # by which products of a rotation's columns may miss those of unit vectors: rounding brings 1e-15
 WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits
 LIKELIHOOD = {"type?": str, str: float}
 # What a posterior's file says beside its arrays, as `misfit` takes it.
@@ -357,6 +359,9 @@ def check_parts(parts: Sequence[Any]) -> None:
             if part.root_pose.shape != (*values.shape[:2], 4, 4):
                 raise DerenderError("its root's poses are not those of its draws")
             arrays.append(part.root_pose)
+            turns = part.root_pose[..., :3, :3]
+            if not np.allclose(turns @ np.moveaxis(turns, -1, -2), np.eye(3), atol=TURNS_SLIP):
+                raise DerenderError("its root's poses are not rigid")
         for array in arrays:
             if array.dtype.kind != "f" or not np.isfinite(array).all():
                 raise DerenderError("it holds numbers that are not finite")

@@ -89,14 +89,15 @@ def test_scene_of_show_json(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"name": None}, "no name"),
+        ({"name": None}, "objects.1.name"),
         ({"name": "b"}, "two objects"),
-        ({"type": 3}, "no type"),
-        ({"pose": [[1, 2], [3, 4]]}, "rigid"),
+        ({"type": 3}, "objects.1.type"),
+        ({"pose": [[1, 2], [3, 4]]}, "objects.1.pose"),
+        ({"parent": ["floor"]}, "objects.1.parent"),
         ({"pose": (2 * np.eye(4)).tolist()}, "rigid"),
         ({"size": [0.1, -0.1, 0.1]}, "positive"),
-        ({"size": None}, "no size"),
-        ({"size": [0.1, float("nan"), 0.1]}, "positive"),
+        ({"size": None}, "positive"),
+        ({"size": [0.1, float("nan"), 0.1]}, "objects.1.size"),
     ],
 )
 def test_a_scene_that_cannot_be_compared_is_refused(change, words):

@@ -1,5 +1,7 @@
 """Verdicts in three words, interventions, probabilities, faulty scenes and settled ones."""
 
+import threading
+
 import numpy as np
 import pytest
 from test_simulate import FLOOR, GRAVITY, cube, matter
@@ -8,7 +10,7 @@ from derender.document import document_text, read_document
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, matter_of_graph
 from derender.physics.intervention import Disturbance, Push, intervention, read_add, read_push, read_shake, read_tilt
-from derender.physics.outcome import assumptions, chance_of, probability, simulate_scene, summary_of
+from derender.physics.outcome import assumptions, chance_of, outcomes, probability, simulate_scene, summary_of
 from derender.physics.simulate import judge, simulate
 from derender.physics.verdict import settled_graph
 from derender.scene.pose import translation
@@ -163,6 +165,19 @@ def test_probabilities_have_errors_and_stop_when_known(graph):
     spread = [chance_of(draws).error for draws in (np.random.default_rng(0).random((200, 100)) < 0.3)]
     shares = (np.random.default_rng(0).random((200, 100)) < 0.3).mean(axis=1)
     assert np.mean(spread) == pytest.approx(np.std(shares), rel=0.15)
+
+
+def test_draws_until_it_is_known_are_simulated_in_threads(graph, monkeypatch):
+    together = threading.Barrier(2, timeout=20)  # of which one thread alone waits in vain
+    found = simulate_scene(graph, engine="statics")
+
+    def simulated(*_, **__):
+        together.wait()
+        return found
+
+    monkeypatch.setattr("derender.physics.outcome.simulate_scene", simulated)
+    runs = list(outcomes([graph] * 40, intervention(), jobs=2, until=0.2))
+    assert len(runs) == 10
 
 
 def test_nobody_and_no_time_are_told(graph):

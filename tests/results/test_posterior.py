@@ -120,6 +120,13 @@ def test_what_is_no_posterior_is_told(tmp_path, content):
         load(tmp_path / "nowhere.npz")
 
 
+def test_a_root_that_is_no_pose_is_told(tmp_path):
+    _, one = part(LOOKED_AT)
+    Posterior((replace(one, root_pose=np.zeros_like(one.root_pose)),)).save(tmp_path / "posterior.npz")
+    with pytest.raises(DerenderError, match="its root's poses are not rigid"):
+        load(tmp_path)
+
+
 def test_arviz_opens_the_netcdf(tmp_path):
     pytest.importorskip("h5netcdf")
     with warnings.catch_warnings():

@@ -63,7 +63,7 @@ def _load(path: str, hull: bool, stamp: int) -> LoadedMesh:
     import trimesh
 
     try:
-        with np.errstate(invalid="ignore"):  # what is no number is told by fit_box
+        with np.errstate(invalid="ignore", over="ignore"):  # what is no number, or too far away, is told by fit_box
             mesh = trimesh.load_mesh(path)
         if not isinstance(mesh, trimesh.Trimesh):
             mesh = mesh.to_mesh() if hasattr(mesh, "to_mesh") else None
