@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from derender.workflow import Request
 
 LOOK = 0.2  # seconds between two looks at what is finished and at what has come
-GATHER = 2.0  # seconds between two writings of the tables while frames are in work
+# Seconds between two writings of the tables while frames are in work, and at least so many times what the last one
+# took: tables of thousands of frames take longer than one frame.
+GATHER, SELDOM = 2.0, 50.0
 
 
 class Tally(NamedTuple):
@@ -86,14 +88,21 @@ def infer_frames(
     before, total = len(frames) - len(waiting), len(waiting)
     count = {"done": 0, "doubtful": 0, "failed": 0}
     in_turn = _InTurn([] if watch else [frame.name for frame in waiting], tell)
-    started = gathered = time.monotonic()
+    started = time.monotonic()
+    due = started + GATHER
     crew = crew_of(order, str(output))
+
+    def begin() -> None:
+        while waiting and crew.busy < crew.size and not stop.is_set():
+            crew.submit(waiting.popleft())
+
     try:
         with interruptible() as stop:
             while crew.busy or (not stop.is_set() and (waiting or watcher)):
-                while waiting and crew.busy < crew.size and not stop.is_set():
-                    crew.submit(waiting.popleft())
-                for done in crew.finished(LOOK):
+                begin()
+                finished = crew.finished(LOOK)
+                begin()  # nobody waits while the others are told of
+                for done in finished:
                     if done.died and stop.is_set():  # by the signal that is to end all: it is done on the next run
                         continue
                     ledger.record(done)
@@ -101,9 +110,9 @@ def infer_frames(
                     count["doubtful"] += not done.error and not done.rows[0]["trusted"]
                     in_turn.add(done)
                 now, over = time.monotonic(), count["done"] + count["failed"]
-                if now - gathered > GATHER and over:
+                if now > due and over:
                     ledger.write_tables()
-                    gathered = now
+                    due = time.monotonic() + max(GATHER, SELDOM * (time.monotonic() - now))
                 if watcher and not stop.is_set():
                     come = ledger.missing(watcher.look())
                     waiting.extend(come)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from multiprocessing import active_children
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,6 +146,40 @@ def test_a_frame_that_dies_with_a_stopped_run_is_told_by_nobody(tmp_path):
     tally = infer_frames([str(tmp_path / "a.npy")], tmp_path / "out", Order(), lambda order, output: Stopped())
     assert tally.interrupted and tally.failed == 0
     assert (tmp_path / "out" / "results.jsonl").read_text() == ""
+
+
+def test_tables_that_take_long_are_written_seldom_and_nobody_waits_for_them(tmp_path, monkeypatch):
+    for k in range(60):
+        np.save(tmp_path / f"{k}.npy", np.ones((4, 4)))
+    clock, told = SimpleNamespace(now=0.0), []
+
+    class Crew:
+        """One who takes a second for a frame."""
+
+        size, busy = 1, 0
+
+        def submit(self, frame):
+            self.busy, self.frame = 1, frame
+            told.append("begun")
+
+        def finished(self, timeout):
+            clock.now += 1.0
+            self.busy = 0
+            return [failure(self.frame, "no floor")]
+
+        def close(self):
+            pass
+
+    def write_tables(ledger, ended=False):
+        clock.now += 0.5
+        told.append("written")
+
+    monkeypatch.setattr("derender.batch.run.time.monotonic", lambda: clock.now)
+    monkeypatch.setattr("derender.batch.run.Ledger.write_tables", write_tables)
+    monkeypatch.setattr("derender.batch.run.Ledger.record", lambda ledger, done: told.append("recorded"))
+    infer_frames([str(tmp_path)], tmp_path / "out", Order(), lambda order, output: Crew())
+    assert told.count("recorded") == 60 and told.count("written") <= 4  # before: 21
+    assert told[:4] == ["begun", "begun", "recorded", "begun"]
 
 
 def test_a_frame_counts_as_done_only_once_its_thumbnail_is_there(tmp_path):
