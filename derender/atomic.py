@@ -2,10 +2,11 @@
 
 import os
 import shutil
+import stat
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from derender.errors import DerenderError
@@ -165,8 +166,9 @@ def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
 def check_files(folder: Path, names: Iterable[str]) -> None:
     """Raise a DerenderError where something of these names is there and is no file: reading a pipe waits for ever."""
     for path in (folder / name for name in names):
-        if path.exists() and not path.is_file():
-            raise DerenderError("this is no file", path, "move it away or choose another place")
+        with suppress(FileNotFoundError):
+            if not stat.S_ISREG(path.stat().st_mode):
+                raise DerenderError("this is no file", path, "move it away or choose another place")
 
 
 def write_text(path: str | Path, text: str) -> None:
