@@ -190,7 +190,7 @@ class MapProblem:
         lower, upper = np.maximum(np.array(supports)[:, 0], least), np.array(supports)[:, 1]
         self.domain = Domain(lower, upper, np.array([unknown.period or 0.0 for unknown, _ in moving]))
         numbers = {key.removeprefix("likelihood."): value for key, value in target.by_address(values).items()}
-        images: Any = target.images
+        images = target.images
         numbers, observed = {**images.values, **numbers}, images.observed
         seen, sigma = np.isfinite(observed) & (observed > 0), numbers.get("sigma", 0.005)
         self._constant = -float(np.sum(seen)) * (math.log(sigma) + 0.5 * math.log(2 * math.pi))

@@ -31,13 +31,13 @@ class Unknown(NamedTuple):
 class Block(NamedTuple):
     """Unknowns that move together: the contact of one edge, the shape of one object, the likelihood, or all."""
 
-    name: str  # such as "red.contact", "red.shape", "likelihood", "all"; of several blocks "red.contact+blue.contact"
+    name: str  # such as "red.contact", "red.shape", "likelihood", "all"
     unknowns: tuple[int, ...]  # indices of its unknowns
 
     @property
-    def objects(self) -> tuple[str, ...]:
-        """The objects whose contacts these are."""
-        return tuple(name.removesuffix(".contact") for name in self.name.split("+"))
+    def object(self) -> str:
+        """The object whose contact this is."""
+        return self.name.removesuffix(".contact")
 
 
 class Space:

@@ -4,7 +4,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -128,15 +128,6 @@ def _can_relocate(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
     return placed and level and (not graph.descendants(name) or _can_slide(graph, block, unknown))
 
 
-class Images(Protocol):
-    """What the target asks of `render`: a likelihood bound to one observed image."""
-
-    values: dict[str, float]  # its fixed numbers
-
-    def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
-        """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
-
-
 class ObservedImage:
     """One depth image under one likelihood.
 
@@ -174,7 +165,11 @@ class SceneTarget:
     """
 
     def __init__(
-        self, prior: "TreePrior", graph: SceneGraph, images: Images, likelihood: dict[str, Distribution] | None = None
+        self,
+        prior: "TreePrior",
+        graph: SceneGraph,
+        images: ObservedImage,
+        likelihood: dict[str, Distribution] | None = None,
     ) -> None:
         self.prior, self.template, self.images = prior, graph, images
         self.likelihood = dict(likelihood or {})

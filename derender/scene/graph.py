@@ -386,27 +386,3 @@ class SceneGraph:
         """
         relative = inverse(self._poses[parent]) @ self._poses[name]
         return nearest_contact(relative, self.body(parent), self.body(name), type, parent_face, child_face)
-
-    def check(self) -> None:
-        """Raise DerenderError, with the address, for an unknown type, a number out of range or a face that is not."""
-        for vertex in self.vertices:
-            shape = shapes[vertex.shape]
-            known = {p.name for p in shape.parameters}
-            for key in vertex.parameters:
-                if key not in known:
-                    remedy = suggest(key, known) if known else f"a {shape.name} has no parameters"
-                    raise DerenderError(f"a {shape.name} has no parameter {key!r}", vertex.name, remedy)
-            for parameter, value in zip(shape.parameters, vertex.psi, strict=True):
-                if np.isnan(value):
-                    raise DerenderError(f"its {parameter.name} is missing", vertex.name, f"give {parameter.name}: ...")
-            shape.check(vertex.psi, vertex.options, vertex.name)
-            contact = vertex.contact
-            faces = contact.parent_face, contact.child_face
-            parent = self.body(vertex.parent).shape
-            contacts[contact.type].check(contact.values, parent, shape, *faces, f"{vertex.name}.contact")
-            for support in vertex.supports:
-                if support not in self._index or support == vertex.name:
-                    remedy = suggest(support, [other for other in self.names if other != vertex.name])
-                    raise DerenderError(f"no such support: {support!r}", f"{vertex.name}.supports", remedy)
-        for constraint in self.constraints:
-            self.vertex(constraint.first), self.vertex(constraint.second)

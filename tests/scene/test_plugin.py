@@ -59,7 +59,6 @@ def test_scene_graph_draws_it_through_its_mesh(plugin):
     base = Vertex("base", "pyramid", {"base": 0.2, "height": 0.1}, contact=Contact("6dof", values={"z": 1.0}))
     top = Vertex("top", "cube", {"side": 0.05}, "base", Contact("concentric", "+z", "-z", {"theta": 0.2}))
     graph = SceneGraph(np.eye(4), (base, top))
-    graph.check()
     solids = graph.solids()
     assert solids.kind[0] == MESH and solids.mesh[0] == 0 and len(solids.meshes) == 1
     assert np.allclose(np.ptp(solids.meshes[0][0], axis=0), [0.2, 0.2, 0.1])

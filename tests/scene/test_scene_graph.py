@@ -174,23 +174,6 @@ def test_second_support_of_a_bridge():
     assert stub.outside > 0.0
 
 
-def test_check_names_the_address():
-    good = tower(np.random.default_rng(5))
-    good.check()
-    for graph, words in (
-        (good.replace("cube_1", parameters={"side": -0.1}), "cube_1: side is -0.1"),
-        (good.replace("cube_1", parameters={"side": math.nan}), "cube_1: its side is missing"),
-        (good.replace("cube_1", parameters={"sides": 0.1}), "a cube has no parameter 'sides'; did you mean 'side'"),
-        (good.replace("cube_1", shape="cub", parameters={}), "no shape is called 'cub'; did you mean 'cube'?"),
-        (good.with_numbers({"cube_1.contact.u": 1.5}), "cube_1.contact: u of the face-to-face contact is 1.5"),
-        (good.replace("cube_1", supports=("cube_9",)), "cube_1.supports: no such support"),
-        (good.replace("cube_1", contact=Contact("6dof")), "a cube cannot be in 6dof contact with a cube"),
-    ):
-        with pytest.raises(DerenderError) as caught:
-            graph.check()
-        assert words in str(caught.value)
-
-
 def test_what_is_not_a_graph():
     cube = Vertex("a", "cube", {"side": 0.1})
     for vertices, words in (

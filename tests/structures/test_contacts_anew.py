@@ -72,7 +72,7 @@ def verdict_of(name, replicates, until_caught=False):
     world = SceneWorld(PLANKS)
     rng = np.random.default_rng(9)
     archive = np.array([world.space.sample(rng) for _ in range(15)])
-    tuning = first_tuning(world.space, archive[0], 0.0)
+    tuning = first_tuning(world.space, archive[0])._replace(temperature=0.0)
     tuning = tuning._replace(archive=archive, covariance=100.0 * tuning.covariance)
     parts = [part for part in mixture(world.space, [{name: {}}, {"resimulate": {}}]) if part.type == name]
     backend = CompiledBackend(world.blank, parts)

@@ -17,6 +17,7 @@ from derender.report.scene_json import scene_json
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
+from derender.scene.shapes import shapes
 from derender.structures.graph_posterior import MOST_PARTS
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
@@ -122,7 +123,7 @@ def test_a_plane_that_ends_is_seen_as_far_as_it_is_there(tmp_path):
     assert (shown["type"], shown["size"]) == ("plane", None)
     for wrong in ([1, 2, 3], [0, 0, -1, 1, 0], "wide"):
         with pytest.raises(DerenderError, match="patch"):
-            patched(patch=wrong).check()
+            shapes["plane"].check((), {"patch": wrong})
 
 
 def test_a_plane_that_ends_bears_what_stands_on_it():

@@ -27,7 +27,7 @@ from derender.posterior.compiled.model import (
     taken_elsewhere,
 )
 from derender.posterior.compiled.prior import DENSITY, NEXT, NOW, PRIOR, Chain, Kernels, Model, Stretch
-from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
+from derender.posterior.kernels.base import PLACING, Part, Tuning, kernels
 from derender.posterior.target import SceneTarget
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
@@ -58,7 +58,8 @@ class _Programmed:
 
 
 class InterpretedBackend(_Programmed):
-    """Runs a mixture on any target, a few thousand steps a second: the compiled sweep's own source, not compiled.
+    """Runs a mixture on any target that has a `space`, and the `log_prior` and `log_likelihood` of values (P,): the
+    compiled sweep's own source, not compiled, a few thousand steps a second.
 
     Where objects are in the world it does not know: what stands on an object rides along with it, and none is put down
     anew.
@@ -67,7 +68,7 @@ class InterpretedBackend(_Programmed):
     replaced : functions by name, in place of those that the sweep and the proposals call by that name.
     """
 
-    def __init__(self, target: Target, parts: list[Part], engine: Any = None, **replaced: Callable) -> None:
+    def __init__(self, target: Any, parts: list[Part], engine: Any = None, **replaced: Callable) -> None:
         self.replaced, self._called, self._engine = replaced, list[Callable](), engine or self
         space, size = target.space, len(target.space.addresses)
         taken = [part._replace(weight=0.0) if kernels[part.type].form == PLACING else part for part in parts]

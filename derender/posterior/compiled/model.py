@@ -296,7 +296,7 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
             propose = address_of(kind.proposal, rng, model.unknowns, model.laws, chain.values, chain.tangents, members,
                                  flat, 0.0)  # fmt: skip
         if kind.keeps_children:
-            vertex = target.template.names.index(part.block.objects[0])
+            vertex = target.template.names.index(part.block.object)
             keep = address_of(reattach, model.vertices, model.extents, model.places, model.laws, chain.values,
                               chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, True,
                               chain.moved_pose[0])  # fmt: skip
@@ -316,7 +316,7 @@ def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: C
 
     chain : any of the model's; it is left at the last values.
     """
-    chosen = {k: object_below(target, part.block.objects[0]) for k, part in enumerate(parts)
+    chosen = {k: object_below(target, part.block.object) for k, part in enumerate(parts)
               if kernels[part.type].form == PLACING}  # fmt: skip
     if not chosen:
         return {}

@@ -14,7 +14,7 @@ Warm-up learns from where the chain has been: a centre, a covariance, a scale fo
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,18 +37,6 @@ from derender.registry import Registry
 from derender.sampling.metropolis import adapted_scale
 
 STEP, PLACING = range(2)  # forms of kernels: one proposal, objects put down anew
-
-
-class Target(Protocol):
-    """A posterior density over the values of a space."""
-
-    space: Space
-
-    def log_prior(self, values: np.ndarray) -> float:
-        """Return the log prior of (P,) values: the space's, and further terms where the prior has any."""
-
-    def log_likelihood(self, values: np.ndarray) -> float:
-        """Return the log likelihood of (P,) values inside the prior's support."""
 
 
 class Tuning(NamedTuple):
@@ -87,7 +75,7 @@ class KernelType:
     form: int = STEP  # STEP or PLACING
     proposal: Kernel
 
-    def blocks(self, space: Space, options: Mapping[str, float]) -> Sequence[Block]:
+    def blocks(self, space: Space) -> Sequence[Block]:
         """Return the blocks that have a kernel of their own."""
         blocks = space.blocks if self.per_block else (space.everything,)
         return [block for block in blocks if self.applies(space, block)]
@@ -157,7 +145,7 @@ def mixture(
                     )
                 _check(value, f"{name}.{key}", where)
             options = {**kind.options, **given}
-            blocks = kind.blocks(space, options)
+            blocks = kind.blocks(space)
             total = sum(len(block.unknowns) for block in blocks)
             parts += [Part(name, block, options, weight * len(block.unknowns) / total) for block in blocks]
     whole = math.fsum(part.weight for part in parts)
@@ -177,9 +165,9 @@ def _check(value: object, what: str, where: object, lower: float = -math.inf) ->
 PRIOR_SHARE = 1e-4  # of the prior's variance, with the weight of five draws: keeps a covariance of few draws regular
 
 
-def first_tuning(space: Space, values: np.ndarray, temperature: float = 1.0) -> Tuning:
+def first_tuning(space: Space, values: np.ndarray) -> Tuning:
     """Return the tuning of a chain that knows only its prior: a tenth of its spread."""
-    return Tuning(values, np.diag((0.1 * space.scales) ** 2), {}, temperature)
+    return Tuning(values, np.diag((0.1 * space.scales) ** 2), {})
 
 
 def centre_of(space: Space, history: np.ndarray) -> np.ndarray:

@@ -99,11 +99,8 @@ def mixture_density(places, periods, place):
             squared[k] += white[k] * white[k]
     for k in range(count):
         squared[k] = 1.0 + squared[k] / DEGREES
-    power = white  # to the power of (DEGREES + size) / 2
+    power = white  # to the power of (DEGREES + size) / 2, which is whole
     power[:] = 1.0
-    if (DEGREES + size) % 2:
-        for k in range(count):
-            power[k] = math.sqrt(squared[k])
     for _ in range((DEGREES + size) // 2):
         for k in range(count):
             power[k] *= squared[k]

@@ -259,9 +259,8 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
     rules = []
     for parent in dict.fromkeys(parents):
         pairs = contacts[kind].choices(shapes[parent], shapes[child])
-        if not pairs:
-            with at_fault(section.where):
-                contacts[kind].default_choice(shapes[parent], shapes[child])
+        with at_fault(section.where):
+            usual = contacts[kind].default_choice(shapes[parent], shapes[child])
         for face, key, index in ((wanted[0], "parent_face", 0), (wanted[1], "child_face", 1)):
             known = {str(pair[index]) for pair in pairs}
             for each in face.choices if isinstance(face, Categorical) else (face,):
@@ -269,17 +268,10 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
                     shape = (parent, child)[index]
                     what = f"the {key} {each!r} of a {shape} has no {kind} contact"
                     raise section[key].fault(what, suggest(each, known))
-        faces = [face if face is not None else _default_face(pairs, index) for index, face in enumerate(wanted)]
+        faces = [own if face is None else face for face, own in zip(wanted, usual, strict=True)]
         rule = ContactRule(kind, 1.0, faces[0], faces[1], values, (parent,), None, False, {**places, "": section})
         rules.append(rule)
     return ContactPrior(tuple(rules))
-
-
-def _default_face(pairs: list, index: int) -> str | None:
-    """Return the face meant where a file names none: the parent's top, the child's bottom, else the first there is."""
-    best = ("+z", "-z")[index]
-    names = [pair[index] for pair in pairs]
-    return min(names, key=lambda name: (name != best, best not in str(name)))
 
 
 def _on_rules(section: Section, parents: list[str], child: str) -> tuple[ContactRule, ...]:

@@ -91,38 +91,6 @@ class ContactType:
         # sorted() is stable and True sorts last: the parent's +z first, then what has -z in its name.
         return min(choices, key=lambda pair: (pair[0] != "+z", "-z" not in str(pair[1])))
 
-    def check(
-        self,
-        values: Mapping[str, float],
-        parent: Shape,
-        child: Shape,
-        parent_face: str | None,
-        child_face: str | None,
-        where: object = None,
-    ) -> None:
-        """Raise DerenderError unless the faces exist, every name is known and every number is in its range."""
-        choices = self.choices(parent, child)
-        if not choices:
-            self.default_choice(parent, child, where)
-        for label, face, faces in (
-            ("parent_face", parent_face, [pair[0] for pair in choices]),
-            ("child_face", child_face, [pair[1] for pair in choices]),
-        ):
-            if face not in faces:
-                shape = parent.name if label == "parent_face" else child.name
-                what = f"{label} {face!r} of a {shape} cannot be in {self.name} contact"
-                raise DerenderError(what, where, suggest(face, set(faces)))
-        known = {p.name: p for p in self.parameters(parent, child, parent_face, child_face)}
-        for name, value in values.items():
-            if name not in known:
-                raise DerenderError(f"{self.name} contact has no parameter {name!r}", where, suggest(name, known))
-            lower, upper = known[name].lower, known[name].upper
-            if known[name].period is not None:  # an angle may be written a turn away
-                lower, upper = -math.inf, math.inf
-            if not (math.isfinite(value) and lower <= value <= upper):
-                what = f"{name} of the {self.name} contact is {value:g}"
-                raise DerenderError(what, where, f"it must lie in [{lower:g}, {upper:g}]")
-
 
 class SurfaceContact(ContactType):
     """A contact between the parent's flat face and a feature of the child: all but `6dof`.
@@ -221,11 +189,6 @@ class SixDof(ContactType):
     def invert(self, relative: np.ndarray, *pair: Any, **features: Any) -> Inverse:
         numbers = np.concatenate([relative[:3, 3], quaternion(relative)])
         return Inverse({p.name: float(n) for p, n in zip(POSITION + ROTATION, numbers, strict=True)}, {}, 0.0, 0.0)
-
-    def check(self, values: Any, parent: Any, child: Any, on: Any = None, by: Any = None, where: Any = None) -> None:
-        super().check(values, parent, child, on, by, where)
-        if not math.hypot(*(values.get(p.name, p.default) for p in ROTATION)) > 0.0:
-            raise DerenderError("the quaternion of the 6dof contact is zero", where, "give it a length above zero")
 
 
 TILTS = (

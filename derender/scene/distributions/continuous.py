@@ -341,7 +341,7 @@ TWO_PI = 2.0 * math.pi
 
 
 @distributions.register("von-mises")
-class VonMises(Distribution):
+class VonMises(Interval):
     """On [0, period] (a full turn unless given), with a mean direction and a concentration."""
 
     names = ("mean", "concentration", "period")
@@ -406,9 +406,6 @@ class VonMises(Distribution):
         weights = ive(j, concentration) / ive(0.0, concentration) / (math.pi * j)
         begin, end = -TWO_PI * mean / period, TWO_PI * (x - mean) / period
         return float(x / period + weights @ (np.sin(j * end) - np.sin(j * begin)))
-
-    def quantile(self, probability: float) -> float:
-        return bisected(self.cdf, probability, 0.0, self.parameters[2])
 
     def mean(self) -> float:
         return self.parameters[0] % self.parameters[2]
