@@ -34,7 +34,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     table shows them: the turn about the scene (seen from above, anticlockwise) and the elevation over the floor in
     degrees, how far the camera moves, and the 90 % range of the size that is known least, as it is and as it is
     expected to be. The poses of all cameras, the best candidate's last, go to a file that `derender infer --together
-    --poses` takes, and a picture with a map of all views beside it.
+    --poses` takes, and a picture of what is seen from there beside it.
 
     \b
     Examples:
@@ -47,7 +47,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     from derender.cli.reading import read_scene
     from derender.errors import DerenderError
     from derender.physics.next_view import next_views
-    from derender.report.pictures import write_picture
+    from derender.report.pictures import write_view
 
     found = read_scene(folder)
     if found.posterior is None or found.camera is None:
@@ -60,7 +60,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     others = [np.array(view["pose"]) for view in found.posterior.meta.get("views", ())]
     write_poses(place, [np.eye(4), *others, views[0].pose])
     picture = place.with_suffix(".png")
-    write_picture(picture, found.graph, found.camera, views, about)
+    write_view(picture, found.graph, found.camera, views[0].pose)
     if as_json:
         click.echo(json.dumps({"about": about, "views": [tree_of(view) for view in views]}))
     else:

@@ -10,6 +10,8 @@ import click
 from derender.cli import options
 from derender.errors import DerenderError
 
+HEAD = ("parameter", "unit", "from", "to", "default", "period", "slack")
+
 
 @click.command()
 @click.argument("name", required=False)
@@ -100,28 +102,23 @@ def _listing(entries: list[dict[str, Any]]) -> list[str]:
 
 
 def _explanation(entry: dict[str, Any]) -> str:
-    lines = [f"{entry['kind']} {entry['name']}", "", entry["summary"]]
+    """Return what is known of a type: what it is, and a line for each parameter."""
+    from derender.report.tables import text_table
+
+    parts = [f"{entry['kind']} {entry['name']}", entry["summary"]]
     if entry["parameters"]:
-        lines.append("")
-    width = max((len(parameter["name"]) for parameter in entry["parameters"]), default=0)
-    for parameter in entry["parameters"]:
-        lines.append("  " + _parameter_line(parameter, max(width, 14)))
-    return "\n".join(lines)
+        columns = zip(HEAD, *map(_cells, entry["parameters"]), strict=True)
+        head, *rows = zip(*(column for column in columns if set(column[1:]) != {"-"}), strict=True)
+        parts.append(text_table(rows, head))
+    return "\n\n".join(parts)
 
 
-def _parameter_line(parameter: dict[str, Any], width: int) -> str:
-    """Return one line: name in so many columns, unit, range, default."""
-    parts = [f"{parameter['name']:<{width}}"]
-    if "unit" in parameter:
-        parts.append(f"{parameter['unit'] or '-':<4}")
-        lower, upper = (parameter[key] for key in ("lower", "upper"))
-        parts.append(f"from {'-inf' if lower is None else f'{lower:g}'} to {'inf' if upper is None else f'{upper:g}'}")
-        if parameter["default"] is not None:
-            parts.append(f"default {parameter['default']:g}")
-        if parameter["period"] is not None:
-            parts.append(f"period {parameter['period']:g}")
-        if parameter["slack"]:
-            parts.append("slack")
-    elif "default" in parameter:
-        parts.append(f"default {parameter['default']:g}")
-    return "  ".join(parts).rstrip()
+def _cells(parameter: dict[str, Any]) -> list[str]:
+    """Return a parameter as HEAD names its columns; a dash where there is nothing to say."""
+    known = {"lower": "-inf", "upper": "inf"} if "unit" in parameter else {}
+    known |= {key: f"{value:g}" for key, value in parameter.items() if isinstance(value, float | int)}
+    known |= {"unit": parameter.get("unit", ""), "slack": "slack" if parameter.get("slack") else ""}
+    return [
+        parameter["name"],
+        *(known.get(key) or "-" for key in ("unit", "lower", "upper", "default", "period", "slack")),
+    ]

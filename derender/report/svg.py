@@ -26,29 +26,26 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     column, row, leaves = tree_places(objects)
     deepest = max(row.values())
     lying = leaves > MOST_ABREAST
-    width, height, gap, apart = (196, 62, 44, 10) if lying else (196, 62, 34, 18)
-    if lying:
-        total_width = (deepest + 1) * (width + gap) - gap + 12
-        total_height = leaves * (height + apart) + 10
-    else:
-        total_width = max(1, leaves) * (width + apart) + 10
-        total_height = (deepest + 1) * (height + gap) - gap + 12
+    width, height = 196, 62
+    gap, apart = (44, 10) if lying else (34, 18)
+    deep, broad = (
+        (width, height) if lying else (height, width)
+    )  # of a box, along the way that the tree grows and across
+    long, wide = (deepest + 1) * (deep + gap) - gap + 12, max(1, leaves) * (broad + apart) + 10
+    total_width, total_height = (long, wide) if lying else (wide, long)
 
-    def middle(name: str) -> tuple[float, float]:
-        if lying:
-            return row[name] * (width + gap) + 0.5 * width + 6, (column[name] + 0.5) * (height + apart)
-        return (column[name] + 0.5) * (width + apart), (deepest - row[name]) * (height + gap) + 0.5 * height + 6
+    def at(name: str, along: float = 0.0) -> tuple[float, float]:
+        """Return a place so far along the tree from the middle of an object's box: to the right, or upwards."""
+        along += row[name] * (deep + gap) + 0.5 * deep + 6
+        across = (column[name] + 0.5) * (broad + apart)
+        return (along, across) if lying else (across, long - along)
 
     def line(name: str, parent: str, bend: float, dashes: str = "") -> str:
         """Return the line from a parent's side to that of what it bears."""
-        (x, y), (px, py) = middle(name), middle(parent)
-        away = (0.5 * width, 0.0) if lying else (0.0, -0.5 * height)
-        x, y, px, py = x - away[0], y - away[1], px + away[0], py + away[1]
-        bx, by = (bend, 0.0) if lying else (0.0, -bend)
-        return (
-            f'<path d="M{px:.1f} {py:.1f}C{px + bx:.1f} {py + by:.1f} {x - bx:.1f} {y - by:.1f} {x:.1f} {y:.1f}" '
-            f'fill="none" stroke="#9aa0a8" stroke-width="1.6"{dashes}/>'
-        )
+        half = 0.5 * deep
+        points = at(parent, half), at(parent, half + bend), at(name, -half - bend), at(name, -half)
+        begin, *others = (f"{x:.1f} {y:.1f}" for x, y in points)
+        return f'<path d="M{begin}C{" ".join(others)}" fill="none" stroke="#9aa0a8" stroke-width="1.6"{dashes}/>'
 
     parts = []
     for name, item in objects.items():
@@ -57,7 +54,7 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
             line(name, other, 0.0, ' stroke-dasharray="5 4"') for other in item.get("supports", ()) if other in column
         ]
     for name in column:
-        x, y = middle(name)
+        x, y = at(name)
         shown = objects.get(name)
         fill = colours.get(name, "#cdcbc6")
         if shown is not None and shown.get("size") is not None:
