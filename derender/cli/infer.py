@@ -126,7 +126,7 @@ IDLE = (
 @click.option(
     "--draws",
     type=click.IntRange(1, 10_000_000),
-    help="Kept draws of each chain. Default 1000, up to 4000 where the chains disagree; without --scene 100, with "
+    help="Kept draws of each chain. Default 1000, up to 4000 where the chains disagree; without --scene 200, with "
     "--method mcmc 250.",
 )
 @click.option(

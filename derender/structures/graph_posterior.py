@@ -82,7 +82,7 @@ def parts_of(
 
 
 def independent_parts(rng, first, energy, pool, settings, chains, draws, only_best):
-    """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others.
+    """Return the parts where pixels are independent: all chains for the likeliest, one for others that are likely.
 
     first : Refined of the search's best state. energy, pool : see `weighed_structures`.
     """
@@ -102,7 +102,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
             drawn = [only_draw(trial, draws)] * chains
         elif weights[place] > WORTH_DRAWING and len(trial.state):
             trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, temperatures=WARM)
-            drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
+            drawn = chains_of(rng, trial, 1, draws)
         else:
             drawn = [only_draw(trial)]
         states = [(trial.state, 1.0)]

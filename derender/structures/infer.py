@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from derender.structures.grids import Image
     from derender.structures.together import Look
 
-CHAINS, DRAWS = 2, 100  # of each structure, and of each chain, where options say nothing
+# Chains of each structure, and draws of each chain, where options say nothing: a quantile of as few as 200 draws is off
+# by so much that 90 % intervals held 1 to 4 of 100 numbers less than those of 800.
+CHAINS, DRAWS = 2, 200
 
 Progress = Callable[[float, str], None]
 
