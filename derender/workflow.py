@@ -34,6 +34,7 @@ FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may
 NO_DRAWS = "--method map and --quick find the best scene, and draw nothing"
 WALKS = "it is for --method mcmc, or for a scene given with --scene"
 IDLE = (  # beside the method, and whether the objects are given
+    Idle(("gradient",), lambda of: not (of["method"] == "map" and of["given"]), "it is for --method map with --scene"),
     Idle(("chains",), lambda of: of["method"] == "map" and not of["given"], NO_DRAWS),
     Idle(("draws", "warmup"), lambda of: of["method"] == "map", NO_DRAWS),
     Idle(("draws", "warmup"), lambda of: of["given"] and of["method"] == "smc", "populations have a fixed size"),

@@ -63,8 +63,8 @@ OF_THE_RUN = frozenset(
     {"images", "output", "jobs", "watch", "scheduler", "page", "strict", "quiet", "verbose", "resume"}
 )
 # Options that are dropped where others stand; what depends on files is told by `workflow.check_request`.
-OF_IMAGES = ("rotate", "confidence", "least_confidence", "up", "topic", "method", "quick", "chains", "draws",
-             "warmup", "budget", "assume_stable", "scheduler", "strict", "resume", "jobs", "page")  # fmt: skip
+OF_IMAGES = ("rotate", "confidence", "least_confidence", "up", "topic", "method", "quick", "gradient", "chains",
+             "draws", "warmup", "budget", "assume_stable", "scheduler", "strict", "resume", "jobs", "page")  # fmt: skip
 IDLE = (
     Idle(OF_IMAGES, lambda given: given["track"], "--track follows what the first frame of a film shows"),
     Idle(("least_confidence",), lambda given: not given["confidence"], "it is for --confidence"),
@@ -110,6 +110,12 @@ IDLE = (
     "structures by integrals, mcmc by visiting them.",
 )
 @click.option("--quick", is_flag=True, help="The best scene only, searched for once: twice as fast as --method map.")
+@click.option(
+    "--gradient",
+    type=click.Choice(["exact", "finite-difference"]),
+    default="exact",
+    help="Derivatives that --method map uses.",
+)
 @click.option("--shapes", metavar="NAMES", help="Without --scene: shapes to look for, such as box,cylinder.")
 @click.option("--max-objects", type=click.IntRange(1, 1000), help="Without --scene: at most so many.")
 @click.option(

@@ -157,6 +157,7 @@ class Ascent(NamedTuple):
 
 COLDER = tuple(2.0 ** np.arange(0.0, 10.0, 0.5))  # what the likelihood is raised to, one after the other
 ROBUST = 8.0  # nats at which a pixel counts as an outlier, where some may be
+DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
 COLD_STEPS, GAIN = 100, 3.0  # at each, of each block of unknowns; of their scales for a rate wrong by 1
 
 
@@ -165,6 +166,7 @@ class MapProblem:
 
     target : SceneTarget. values : (P,), at which all other numbers are held. Priors are taken as uniform where they are
         not zero; the likelihood as normal, or as robust where the target's is any other.
+    gradient : "exact", or "finite-difference": by central differences of steps of DIFFERENCE, precision exact.
     edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
 
     places : (n,) numbers of the unknowns, and where these begin among the values; start : (n,) their present values.
@@ -172,7 +174,7 @@ class MapProblem:
     Raises DerenderError : something of the scene has no compiled form or no exact derivative, or nothing can move.
     """
 
-    def __init__(self, target: "SceneTarget", values: np.ndarray, edges: bool = True) -> None:
+    def __init__(self, target: "SceneTarget", values: np.ndarray, gradient: str = "exact", edges: bool = True) -> None:
         self.target, self.values, space = target, np.array(values, np.float64), target.space
         moving = [(unknown, int(offset)) for unknown, offset in zip(space.unknowns, space.offsets, strict=False)
                   if unknown.distribution.size == 1 and not unknown.distribution.discrete
@@ -197,6 +199,8 @@ class MapProblem:
         limit = math.inf if images.type == "gaussian" else ROBUST
         fine = new_misfit(images.camera, observed, sigma, solids.kind, len(moving),
                           blur_taps(numbers.get("blur", 0.0)), numbers.get("background", 10.0), limit)  # fmt: skip
+        reach = np.where(self.domain.period > 0.0, self.domain.period, np.minimum(upper - lower, 1.0))
+        self._steps = None if gradient == "exact" else np.diag(DIFFERENCE * reach)
         self._arrays, self._edges = (fine, model, chain, self.values.copy(), self.chosen), edges
 
     def at(self, place: np.ndarray) -> np.ndarray:
@@ -215,7 +219,10 @@ class MapProblem:
         count, solids = len(self.chosen), len(self._arrays[0].kinds)
         motions, gradient, hessian = np.empty((count, solids, MOTION)), np.empty(count), np.empty((count, count))
         _equations_at(*self._arrays, self._edges, motions, gradient, hessian)  # type: ignore[call-arg]
-        return -gradient, hessian
+        if self._steps is None:
+            return -gradient, hessian
+        gains = [self.log_density(place + step) - self.log_density(place - step) for step in self._steps]
+        return np.array(gains) / (2.0 * np.diag(self._steps)), hessian
 
     def maximise(self, start: np.ndarray, iterations: int = 12, tolerance: float = 0.5) -> Ascent:
         """Ascend from values (n,) by Levenberg-Marquardt, in at most `iterations` steps tried.
@@ -252,7 +259,9 @@ class MapProblem:
         return Ascent(np.array(path), np.array(densities))
 
 
-def climb(target: Any, values: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
+def climb(
+    target: Any, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None
+) -> np.ndarray:
     """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
 
     All unknowns are `cooled`. An ascent then moves contact and shape numbers on the antialiased image under uniform
@@ -260,7 +269,7 @@ def climb(target: Any, values: np.ndarray, rng: np.random.Generator | None = Non
     """
     best = cooled(np.random.default_rng(0) if rng is None else rng, target, values)
     try:
-        problem = MapProblem(target, best)
+        problem = MapProblem(target, best, gradient)
     except DerenderError:
         return best
     density = target.log_prior(best) + target.log_likelihood(best)

@@ -243,7 +243,7 @@ def infer_scene(
         interrupted = interrupted or outcome.interrupted
         part = part_of(target, list(outcome.records.values()), mixed, weight)
         if part is not None:
-            parts.append(summit(target, part.best_only(), seed) if method == "map" else part)
+            parts.append(summit(target, part.best_only(), options.gradient, seed) if method == "map" else part)
     if not parts:
         raise KeyboardInterrupt
     total_weight = sum(part.weight for part in parts)
@@ -335,11 +335,11 @@ def part_at(
                               target.space.periods, poses, extras)  # fmt: skip
 
 
-def summit(target: SceneTarget, part: StructurePosterior, seed: int) -> StructurePosterior:
+def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
     """Return a part of one draw moved to the end of an ascent by gradient, if that is more probable."""
     from derender.posterior.ascent import climb
 
-    values = climb(target, part.values[0, 0], np.random.default_rng([seed, 3]))
+    values = climb(target, part.values[0, 0], gradient, np.random.default_rng([seed, 3]))
     if np.array_equal(values, part.values[0, 0]):
         return part
     prior, likelihood = np.array([[target.log_prior(values)]]), np.array([[target.log_likelihood(values)]])

@@ -18,6 +18,7 @@ RANGES = {  # of whole numbers, so that memory holds what is asked for
     "max_objects": (1, 1000), "seed": (0, 2**128),
 }  # fmt: skip
 METHODS = ("auto", "mcmc", "map", "smc")
+GRADIENTS = ("exact", "finite-difference")
 
 
 class Frame(NamedTuple):
@@ -38,6 +39,7 @@ class Options:
     method : "auto" (search, then draws under the best structures, weighed by integrals), "map" (the best scene only),
         "mcmc" (reversible jumps under a prior of open structure, see jumps/run.py), "smc" (of given objects only).
     quick : with "map", one search and one climb to the mode: twice as fast, and sometimes beside the best.
+    gradient : one of GRADIENTS, by which "map" climbs in the end, of given objects.
     chains, draws, warmup : numbers of chains, of kept draws of each, and of the rounds in which one adapts; None: those
         of the method.
     folder, resume : of their checkpoints, and whether to go on with them.
@@ -50,6 +52,7 @@ class Options:
 
     method: str = "auto"
     quick: bool = False
+    gradient: str = "exact"
     seed: int | None = None  # of the random numbers
     chains: int | None = None
     draws: int | None = None
@@ -74,6 +77,9 @@ class Options:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise DerenderError(f"no method is called {self.method!r}", "--method", suggest(self.method, METHODS))
+        if self.gradient not in GRADIENTS:
+            remedy = suggest(self.gradient, GRADIENTS)
+            raise DerenderError(f"no gradient is called {self.gradient!r}", "--gradient", remedy)
         for name, (least, most) in RANGES.items():
             value = getattr(self, name)
             if value is not None and not least <= value <= most:
@@ -89,8 +95,9 @@ class Options:
 
 
 NOT_DECIDING = frozenset(
-    {"assume_stable", "folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit", "frames"}
-)
+    {"assume_stable", "folder", "gradient", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit",
+     "frames"}
+)  # fmt: skip
 
 
 def names_objects(document: "Document | None") -> bool:

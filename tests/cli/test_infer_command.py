@@ -153,8 +153,8 @@ def test_too_few_pixels_names_the_image(tmp_path):
 
 def test_options_that_say_nothing_here_are_told(tmp_path):
     np.save(tmp_path / "only_a_floor.npy", np.full((24, 32), 0.9))
-    words = ("--resume", "--warmup", 3, "--draws", 9, "--chains", 3, "--budget", "2s",
-             "--least-confidence", 2, "--topic", "depth")  # fmt: skip
+    words = ("--resume", "--warmup", 3, "--draws", 9, "--chains", 3, "--budget", "2s", "--gradient",
+             "finite-difference", "--least-confidence", 2, "--topic", "depth")  # fmt: skip
     result = infer(tmp_path / "only_a_floor.npy", "--method", "map", *words, "-o", tmp_path / "out")
     told = {line.split()[1] for line in result.stderr.splitlines() if "says nothing here: " in line}
     assert told == {word for word in words if str(word).startswith("--")}
