@@ -92,8 +92,8 @@ def test_written_numbers_read_back_bit_for_bit(value):
         ("a: 1\n---\nb: 2\n", "line 2: a second document"),
         ("a: {<<: {b: 1}}\n", "merging"),
         ("a: [1, 2\n", "this is not YAML"),
-        ("a: &x [*x]\n", "line 1: the alias *x is not read; write it out"),
-        ("a: &side {uniform: [0, 1]}\nb: *side\n", "line 2: the alias *side"),
+        ("a: &x [*x]\n", "the alias *x has no complete anchor"),
+        ("a: *nowhere\n", "the alias *nowhere"),
         ("? [1, 2]\n: 3\n", "a key has to be a name"),
         ("a: " + "[" * 40 + "]" * 40, "nested more than 32 deep"),
         ("a: '\\x00\x00'", "this is not YAML"),
@@ -102,6 +102,17 @@ def test_written_numbers_read_back_bit_for_bit(value):
 )
 def test_refused_files(text, says):
     assert says in fault(text)
+
+
+def test_alias_bomb_is_refused_quickly():
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10)
+    )
+    assert "aliases may have multiplied them" in fault(bomb)
+
+
+def test_honest_alias_is_read():
+    assert parse_yaml("a: &side {uniform: [0, 1]}\nb: *side\n")["b"].plain() == {"uniform": [0, 1]}
 
 
 def test_not_utf8_names_the_line(tmp_path):

@@ -1,7 +1,7 @@
 """Strict YAML: a file becomes a tree of nodes (`yaml_nodes`) that know their file, line and address; and back.
 
 PyYAML parses; nothing is constructed.  Refused, each with its line: duplicate keys, tabs, tags, several documents,
-aliases, deep nesting, huge files. What is written (`to_yaml`) reads back bit for bit.
+aliases that blow up, deep nesting, huge files. What is written (`to_yaml`) reads back bit for bit.
 """
 
 from __future__ import annotations
@@ -84,56 +84,85 @@ class _Builder:
 
     def __init__(self, file: str) -> None:
         self.file = file
+        self.anchors: dict[str, list[Any]] = {}
+        self.open: list[int] = []  # where in the record each collection that is not yet closed begins
+        self.count = 0
 
     def build(self, events: Iterator[Any]) -> Node:
-        top: Node | None = None
-        stack: list[tuple[Node, Any]] = []  # open collections, each with its pending key
-        documents = count = 0
+        recorded: list[Any] = []
+        documents = 0
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
                     raise self._place(event).fault("a second document starts here", "one file is one document")
             elif isinstance(event, yaml.NodeEvent | yaml.CollectionEndEvent):
-                count += 1
-                if count > 2 * MOST_NODES:
-                    raise self._place(event).fault(f"more than {MOST_NODES} values", "is it a scene?")
-                top = self._take(stack, event) or top
-        if top is None:
+                self._tally(event)
+                if isinstance(event, yaml.AliasEvent):
+                    recorded.extend(self._expand(event))
+                else:
+                    recorded.append(event)
+                    self._record_anchor(event, recorded)
+        if not recorded:
             raise Node(self.file, 1, "").fault("the file is empty", "a scene starts with derender: 1")
-        return top
+        return self._assemble(recorded)
 
     def _place(self, event: Any, address: str = "") -> Node:
         return Node(self.file, event.start_mark.line + 1, address)
 
-    def _take(self, stack: list[tuple[Node, Any]], event: Any) -> Node | None:
-        """Add what an event tells to the tree; return its top where that is complete."""
-        if isinstance(event, yaml.CollectionEndEvent):
-            node, _ = stack.pop()
-        else:
-            if isinstance(event, yaml.AliasEvent):
-                raise self._place(event).fault(f"the alias *{event.anchor} is not read", "write it out")
-            if event.tag not in (None, "!") and not (isinstance(event, yaml.ScalarEvent) and event.implicit[1]):
-                raise self._place(event).fault(f"the tag {shown(event.tag)} is not read", "leave the tag out")
-            parent, key = stack[-1] if stack else (None, None)
-            if isinstance(parent, Section) and key is None:
-                self._take_key(stack, parent, event)
-                return None
-            node = self._start(event, parent, key)
-            if isinstance(event, yaml.CollectionStartEvent):
-                stack.append((node, None))
-                if len(stack) > MOST_DEPTH:
-                    raise node.fault(f"nested more than {MOST_DEPTH} deep", "is it a scene?")
-                return None
-        if not stack:
-            return node
-        parent, key = stack[-1]
-        if isinstance(parent, Section):
-            parent.nodes[key.value] = node
-            stack[-1] = (parent, None)
-        else:
-            parent.nodes.append(node)  # type: ignore[attr-defined]
-        return None
+    def _tally(self, event: Any, number: int = 1) -> None:
+        self.count += number
+        if self.count > 2 * MOST_NODES:
+            raise self._place(event).fault(f"more than {MOST_NODES} values", "aliases may have multiplied them")
+
+    def _record_anchor(self, event: Any, recorded: list[Any]) -> None:
+        """Remember what an anchor names once it is complete; an alias inside its own anchor finds nothing."""
+        if isinstance(event, yaml.CollectionStartEvent):
+            self.open.append(len(recorded) - 1)
+            if len(self.open) > MOST_DEPTH:
+                raise self._place(event).fault(f"nested more than {MOST_DEPTH} deep", "is it a scene?")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            start = self.open.pop()
+            if recorded[start].anchor:
+                self.anchors[recorded[start].anchor] = recorded[start:]
+        elif event.anchor:
+            self.anchors[event.anchor] = [event]
+
+    def _expand(self, event: Any) -> list[Any]:
+        if event.anchor not in self.anchors:
+            raise self._place(event).fault(f"the alias *{event.anchor} has no complete anchor above it", "write it out")
+        events = self.anchors[event.anchor]
+        self._tally(event, len(events))
+        return events
+
+    def _assemble(self, events: list[Any]) -> Node:
+        """Build the tree from events without aliases."""
+        stack: list[tuple[Node, Any]] = []  # open collections, each with its pending key
+        for event in events:
+            if isinstance(event, yaml.CollectionEndEvent):
+                node, _ = stack.pop()
+            else:
+                if event.tag not in (None, "!") and not (isinstance(event, yaml.ScalarEvent) and event.implicit[1]):
+                    raise self._place(event).fault(f"the tag {shown(event.tag)} is not read", "leave the tag out")
+                parent, key = stack[-1] if stack else (None, None)
+                if isinstance(parent, Section) and key is None:
+                    self._take_key(stack, parent, event)
+                    continue
+                node = self._start(event, parent, key)
+                if isinstance(event, yaml.CollectionStartEvent):
+                    stack.append((node, None))
+                    if len(stack) > MOST_DEPTH:
+                        raise node.fault(f"nested more than {MOST_DEPTH} deep", "is it a scene?")
+                    continue
+            if not stack:
+                return node
+            parent, key = stack[-1]
+            if isinstance(parent, Section):
+                parent.nodes[key.value] = node
+                stack[-1] = (parent, None)
+            else:
+                parent.nodes.append(node)  # type: ignore[attr-defined]
+        raise AssertionError("the parser closes what it opens")
 
     def _start(self, event: Any, parent: Node | None, key: Any) -> Node:
         if isinstance(parent, Section):
