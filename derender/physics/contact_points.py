@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.scene.hull import chain
 from derender.scene.separation import FLAT_AXES, ROUND_AXES, flat_axis, reach, round_axis
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE
 
@@ -130,26 +131,10 @@ def hull_in_place(points, count, scale):
             points[j + 1] = points[j]
             j -= 1
         points[j + 1, 0], points[j + 1, 1] = x, y
-    hull = np.empty((2 * count + 2, 2))
-    size = 0
-    for sweep in range(2):
-        start = size + 1 if sweep else 2
-        for step in range(count):
-            i = step if sweep == 0 else count - 1 - step
-            if sweep and step == 0:
-                continue
-            while size >= start:
-                ax, ay = hull[size - 1, 0] - hull[size - 2, 0], hull[size - 1, 1] - hull[size - 2, 1]
-                bx, by = points[i, 0] - hull[size - 1, 0], points[i, 1] - hull[size - 1, 1]
-                if ax * by - ay * bx > ON_OUTLINE * scale * scale:
-                    break
-                size -= 1
-            hull[size] = points[i]
-            size += 1
-    size -= 1  # the first point was reached again
-    if size < 1:
-        size = 1
-    points[:size] = hull[:size]
+    there, flat = points[:count].copy(), ON_OUTLINE * scale * scale
+    below, above = chain(there, flat), chain(there[::-1].copy(), flat)
+    turn, size = len(below) - 1, len(below) + len(above) - 2
+    points[:turn], points[turn:size] = below[:-1], above[:-1]
     return size
 
 

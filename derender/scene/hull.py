@@ -17,14 +17,14 @@ def convex_outline(points: np.ndarray) -> np.ndarray | None:
     flat = FLAT * np.ptp(points, axis=0).max() ** 2
     there = points[np.lexsort(points.T[::-1])]
     back = np.ascontiguousarray(there[::-1])
-    corners = np.concatenate([_chain(_chain(way, 0.0), flat)[:-1] for way in (there, back)])
+    corners = np.concatenate([chain(chain(way, 0.0), flat)[:-1] for way in (there, back)])
     x, y = (corners - corners[0]).T
     area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
     return corners if area > flat else None
 
 
 @njit(cache=True, nogil=True)
-def _chain(points, flat):
+def chain(points, flat):
     """Return those of points (N, 2) in order along an axis at which the way turns left by more than an area `flat`."""
     kept, count = np.empty(len(points), np.int64), 0
     for k in range(len(points)):

@@ -79,24 +79,27 @@ def rotation_numbers(w: float, x: float, y: float, z: float) -> tuple[float, ...
 
 
 def quaternion(pose: np.ndarray) -> np.ndarray:
-    """Return the (4,) unit quaternion (w, x, y, z), w >= 0, of a (4, 4) pose or (3, 3) rotation.
+    """Return the (4,) unit quaternion (w, x, y, z), w >= 0, of a (4, 4) pose or (3, 3) rotation."""
+    return np.array(quaternion_numbers(np.asarray(pose, dtype=float)))
+
+
+def quaternion_numbers(r: np.ndarray) -> tuple[float, float, float, float]:
+    """Return the same as four numbers: plain Python that numba compiles too.
 
     The largest of the four components is found first (Shepperd 1978), so no rotation loses precision.
     """
-    r = np.asarray(pose, dtype=float)
     trace = r[0, 0] + r[1, 1] + r[2, 2]
-    squares = (1 + trace, 1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace)
-    largest = int(np.argmax(squares))
-    if largest == 0:
-        parts = (squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
-    elif largest == 1:
-        parts = (r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
-    elif largest == 2:
-        parts = (r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1])
+    w, x, y, z = 1 + trace, 1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace
+    if w >= x and w >= y and w >= z:
+        x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    elif x >= y and x >= z:
+        w, y, z = r[2, 1] - r[1, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]
+    elif y >= z:
+        w, x, z = r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], r[1, 2] + r[2, 1]
     else:
-        parts = (r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3])
-    quat = np.array(parts)
-    return quat / math.copysign(math.sqrt(quat @ quat), quat[0])
+        w, x, y = r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    norm = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
+    return w / norm, x / norm, y / norm, z / norm
 
 
 def from_rotation_vector(vector: Any) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.scene.polygon import offset_from_uv, uv_from_offset
-from derender.scene.pose import rotation_numbers
+from derender.scene.pose import quaternion_numbers, rotation_numbers
 from derender.scene.shapes import shapes
 from derender.scene.shapes.base import FACE_NAMES
 from derender.scene.shapes.kinds import CORNER_NAMES, EDGE_NAMES, box_feature, signs_of
@@ -44,6 +44,7 @@ def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 _ROTATIONS, _SIGNS, _AXES = _tables()
 _rotation_of = njit(cache=True, nogil=True)(rotation_numbers)
+_quaternion_of = njit(cache=True, nogil=True)(quaternion_numbers)
 
 
 @njit(cache=True, nogil=True)
@@ -118,23 +119,6 @@ def relative_pose(contact, parent_kind, parent_size, child_kind, child_size, par
 
 
 @njit(cache=True, nogil=True)
-def _quaternion_of(r, out):
-    """Write the unit quaternion (w, x, y, z), w >= 0, of a rotation into `out`: `pose.quaternion`."""
-    trace = r[0, 0] + r[1, 1] + r[2, 2]
-    w, x, y, z = 1 + trace, 1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace
-    if w >= x and w >= y and w >= z:
-        x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    elif x >= y and x >= z:
-        w, y, z = r[2, 1] - r[1, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]
-    elif y >= z:
-        w, x, z = r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], r[1, 2] + r[2, 1]
-    else:
-        w, x, y = r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
-    norm = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
-    out[0], out[1], out[2], out[3] = w / norm, x / norm, y / norm, z / norm
-
-
-@njit(cache=True, nogil=True)
 def chart_of(contact, child_face, turned):
     """Return (theta, first, second) of the (3, 3) rotation Rz(theta) . turn, the two within their ranges.
 
@@ -157,13 +141,11 @@ def chart_of(contact, child_face, turned):
         first = min(max(math.atan2(sy * math.sin(alpha), sx * math.cos(alpha)), 0.0), 0.5 * math.pi)
         second = min(max(sz * (0.5 * math.pi - beta), 0.0), 0.5 * math.pi)
     else:
-        quat = np.empty(4)
-        _quaternion_of(turned, quat)
-        theta = 2.0 * math.atan2(quat[3], quat[0])
+        qw, qx, qy, qz = _quaternion_of(turned)
+        theta = 2.0 * math.atan2(qz, qw)
         # The tilt is what is left when the twist is taken off: a quaternion without z.
         cz, sz = math.cos(0.5 * theta), math.sin(0.5 * theta)
-        w = cz * quat[0] + sz * quat[3]
-        x, y = cz * quat[1] + sz * quat[2], cz * quat[2] - sz * quat[1]
+        w, x, y = cz * qw + sz * qz, cz * qx + sz * qy, cz * qy - sz * qx
         sine = math.hypot(x, y)
         scale = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
         first, second = scale * x, scale * y
@@ -178,7 +160,7 @@ def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_fac
     """Write phi of the contact nearest to the (4, 4) pose into `phi`; return (outside, angle): `ContactType.invert`."""
     if contact == SIX_DOF:
         phi[0], phi[1], phi[2] = relative[0, 3], relative[1, 3], relative[2, 3]
-        _quaternion_of(relative, phi[3:7])
+        phi[3], phi[4], phi[5], phi[6] = _quaternion_of(relative)
         return 0.0, 0.0
     on, by = _ROTATIONS[parent_face], _ROTATIONS[child_face]
     turned = np.empty((3, 3))  # F_parent^T . relative . F_child . FLIP
