@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from derender.scene.separation import surface_distance
 from derender.scene.shapes.kinds import CORNERS
+from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 PRISM_SIDES = 64
 SPHERE_CORNERS = 256
@@ -125,17 +127,8 @@ def distance_to_surface(points: np.ndarray, solid: Mapping[str, Any]) -> np.ndar
 
         tree = cKDTree(_hull_points(np.asarray(solid["vertices"], float), 20_000))
         return np.asarray(tree.query(local)[0])
-    if solid["type"] == "sphere":
-        return np.abs(np.linalg.norm(local, axis=1) - 0.5 * size[0])
-    if solid["type"] == "cylinder":
-        beyond = np.column_stack(
-            [np.hypot(local[:, 0], local[:, 1]) - 0.5 * size[0], np.abs(local[:, 2]) - 0.5 * size[2]]
-        )
-    else:
-        beyond = np.abs(local) - 0.5 * size
-    outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
-    inside = np.minimum(beyond.max(axis=1), 0)
-    return np.abs(outside + inside)
+    kind = {"sphere": SPHERE, "cylinder": CYLINDER}.get(solid["type"], BOX)
+    return np.abs(surface_distance(kind, size, local))
 
 
 def _fibonacci_sphere(count: int) -> np.ndarray:

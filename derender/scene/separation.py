@@ -244,6 +244,19 @@ def penetration_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     return max(0.0, -separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b))
 
 
+def surface_distance(kind: int, size: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the distances (K,) of points (K, 3), in a solid's own axes, to its surface; negative inside.
+
+    What is no ball and no cylinder counts as its box.
+    """
+    beyond = np.abs(points) - 0.5 * size
+    if kind == SPHERE:
+        return np.linalg.norm(points, axis=1) - 0.5 * size[0]
+    if kind == CYLINDER:
+        beyond = np.column_stack([np.hypot(points[:, 0], points[:, 1]) - 0.5 * size[0], beyond[:, 2]])
+    return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+
+
 def separation(solids: Solids, first: int, second: int) -> float:
     """Return the separation in metres of two solids by index: their distance, or minus their depth."""
     kind, pose, size = solids.kind, solids.pose, solids.size

@@ -5,7 +5,8 @@ import pytest
 
 from derender.detection.solids.image import KINDS, make_row
 from derender.detection.solids.state import FLOOR
-from derender.detection.solids.support import least_forces, push_on, shares_of_load, surface_distance
+from derender.detection.solids.support import least_forces, push_on, shares_of_load
+from derender.scene.separation import surface_distance
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from worlds.made_scenes import random_size, settle
 
@@ -50,8 +51,8 @@ def test_what_would_tip_off_is_borne_by_nobody():
 
 @pytest.mark.parametrize("kind", [BOX, SPHERE, CYLINDER])
 def test_distances_are_to_the_surface(kind):
-    row = upright([0.0, 0.0, 0.0], [0.1, 0.1, 0.1], kind)
-    assert surface_distance(row, np.array([[0.0, 0.0, 0.08], [0.0, 0.045, 0.0]])) == pytest.approx([0.03, -0.005])
+    points = np.array([[0.0, 0.0, 0.08], [0.0, 0.045, 0.0]])
+    assert surface_distance(kind, np.full(3, 0.1), points) == pytest.approx([0.03, -0.005])
 
 
 @pytest.mark.parametrize("kind", [BOX, SPHERE, CYLINDER])

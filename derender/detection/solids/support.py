@@ -16,6 +16,7 @@ from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import UPRIGHT, contact_energy, size_energy
 from derender.detection.solids.state import FLOOR, NOTHING, State, held_out, in_the_way
 from derender.scene.friction import RESTING
+from derender.scene.separation import surface_distance
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 if TYPE_CHECKING:
@@ -46,19 +47,6 @@ def edge_points(row: np.ndarray) -> np.ndarray:
     return row[10:13] + local @ rotation_of(row).T
 
 
-def surface_distance(row: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the distances (K,) of points to a solid's surface, negative inside."""
-    half = 0.5 * row[13:16]
-    local = np.abs((points - row[10:13]) @ rotation_of(row))
-    if int(row[0]) == SPHERE:
-        return np.linalg.norm(local, axis=1) - half[0]
-    beyond = local - half
-    if int(row[0]) == CYLINDER:
-        beyond = np.column_stack([np.hypot(local[:, 0], local[:, 1]) - half[0], beyond[:, 2]])
-    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-    return np.where(beyond.max(axis=1) > 0, outside, beyond.max(axis=1))
-
-
 def push_on(row: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the unit vector (3,) along which a solid that touches another is pushed by it: their shadows on it
     overlap least (the separating axis)."""
@@ -87,7 +75,8 @@ def touching_points(row: np.ndarray, other: np.ndarray | None, reach: float) -> 
         found = []
         for first, second in ((row, other), (other, row)):
             edges = edge_points(first)
-            found.append(edges[np.abs(surface_distance(second, edges)) < reach])
+            away = surface_distance(int(second[0]), second[13:16], (edges - second[10:13]) @ rotation_of(second))
+            found.append(edges[np.abs(away) < reach])
         points = np.concatenate(found)
     if len(points) > MOST_POINTS:
         points = points[np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(int)]
