@@ -34,23 +34,16 @@ if TYPE_CHECKING:
     from derender.interface.scene import Scene as Scene
 
 PLACES = {
-    "Camera": "derender.camera.intrinsics",
-    "DepthImage": "derender.camera.depth_file",
-    "Posterior": "derender.interface.posterior",
-    "Scene": "derender.interface.scene",
-    "infer": "derender.interface.functions",
-    "load": "derender.interface.functions",
-    "read_depth": "derender.camera.depth_file",
-    "render": "derender.interface.functions",
-    "sample": "derender.interface.functions",
-    "simulate": "derender.interface.functions",
-}
+    **dict.fromkeys(("infer", "load", "render", "sample", "simulate"), "interface.functions"),
+    **dict.fromkeys(("DepthImage", "read_depth"), "camera.depth_file"),
+    "Camera": "camera.intrinsics", "Posterior": "interface.posterior", "Scene": "interface.scene",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     if name not in PLACES:
         raise AttributeError(f"module 'derender' has no attribute {name!r}")
-    return getattr(importlib.import_module(PLACES[name]), name)
+    return getattr(importlib.import_module(f"derender.{PLACES[name]}"), name)
 
 
 class _Package(types.ModuleType):

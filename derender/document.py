@@ -63,6 +63,11 @@ class LikelihoodPrior:
         """The parameters that are numbers."""
         return {name: value for name, value in self.values.items() if isinstance(value, int | float)}
 
+    @property
+    def means(self) -> dict[str, float]:
+        """A number for each parameter given: where it is open, its prior's mean."""
+        return {name: value if isinstance(value, int | float) else value.mean() for name, value in self.values.items()}
+
     def free_addresses(self) -> dict[str, Distribution]:
         """Return the distributions by address ("likelihood.sigma")."""
         return {f"likelihood.{name}": value for name, value in self.values.items() if isinstance(value, Distribution)}

@@ -1,6 +1,7 @@
 """JSON that a user gave: no key twice, no nesting that exhausts a stack, each value of its kind."""
 
 import json
+import math
 import sys
 from typing import Any
 
@@ -42,6 +43,11 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
         raise DerenderError(f"the key {twice!r} stands twice", remedy="keep one of them")
     return tree
+
+
+def finite_or_none(value: Any) -> Any:
+    """Return what JSON can hold of a number: None for nan and infinity; anything else as it is."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def misfit(tree: Any, form: Any, place: str = "it") -> str:

@@ -109,10 +109,8 @@ def read_depth(
         except DerenderError as error:
             raise DerenderError(error.what, path, error.remedy) from None
         except DAMAGE as error:
-            reason = (
-                " ".join(str(next((part for part in error.args if isinstance(part, str)), "")).split())[:120]
-                or type(error).__name__
-            )
+            told = next((part for part in error.args if isinstance(part, str)), "")
+            reason = " ".join(told.split())[:120] or type(error).__name__
             raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
         where = path
     else:

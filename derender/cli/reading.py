@@ -18,13 +18,20 @@ if TYPE_CHECKING:
 
 
 class Found(NamedTuple):
-    """A scene, and what else its file or folder holds."""
+    """A scene, or draws of one, and what else a file or folder holds."""
 
     name: str  # of the scene, for titles and files
-    graph: "SceneGraph"  # the scene; of a posterior, its most probable one
-    posterior: "Posterior | None"  # or None
+    graph: "SceneGraph"  # the scene; of a posterior its most probable one, of a prior the first drawn
     camera: "Camera | None"  # or None
+    draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"  # draws(rng, count) yields that many scenes
+    uncertain: bool = False  # whether draws differ
+    posterior: "Posterior | None" = None  # or None
     likelihood: Mapping[str, Any] = {}  # its numbers by name, {} where there is none
+
+    @property
+    def missed(self) -> float:
+        """See `Posterior.missed`."""
+        return 0.0 if self.posterior is None else self.posterior.missed
 
 
 def read_scene_document(path: str) -> "Document":
@@ -55,63 +62,41 @@ def no_scene(folder: Path) -> DerenderError:
     return DerenderError("there is no scene in this folder", folder, "derender infer IMAGE -o DIR writes one")
 
 
-def read_scene(path: str) -> Found:
+def read_scene(path: str, seed: int | None = None) -> Found:
     """Read a scene file (`-`: stdin) or a folder written by `derender infer`.
+
+    seed : of the first draw from a prior, where one (by its file or its name) may be given in place of a scene.
 
     Raises DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
     """
-    from derender.report.contents import likelihood_numbers
-
-    folder = Path(path)
-    posterior = None
-    if path != "-" and folder.is_dir():
-        name = folder.resolve().name
-        if (folder / "posterior.npz").exists():
-            from derender.results.posterior import load
-
-            posterior = load(folder)
-    else:
-        name = "scene" if path == "-" else folder.stem
-    document = read_scene_document(path)
-    graph = document.graph if posterior is None else posterior.best_graph()
-    return Found(name, graph, posterior, document.camera, likelihood_numbers(document.likelihood))
-
-
-class Source(NamedTuple):
-    """What `derender simulate` simulates."""
-
-    graph: "SceneGraph"  # the scene; of a posterior the most probable one, of a prior the first drawn
-    camera: "Camera | None"  # or None
-    uncertain: bool  # whether draws differ
-    draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"  # draws(rng, count) yields that many scenes
-    missed: float = 0.0  # see `Posterior.missed`
-
-
-def read_source(path: str, seed: int) -> Source:
-    """Read a scene, a prior (by its file or its name) or a folder written by `derender infer`."""
     import numpy as np
 
     from derender.document import read_prior_document
+    from derender.report.contents import likelihood_numbers
     from derender.scene.priors.reading import is_drawn, with_drawn_matter
 
-    if path != "-" and Path(path).is_dir():
-        found = read_scene(path)
-        graph, camera, posterior = found.graph, found.camera, found.posterior
-        if posterior is not None:
-            uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
-            return Source(graph, camera, uncertain, posterior.each_graph, posterior.missed)
-    else:
-        document = read_prior_document(path)
-        prior, camera = document.prior, document.camera
-        if not document.is_scene:
+    folder = Path(path)
+    name = "scene" if path == "-" else folder.resolve().name if folder.is_dir() else folder.stem
+    by_name = seed is None or (path != "-" and folder.is_dir())
+    document = read_scene_document(path) if by_name else read_prior_document(path)
+    if path != "-" and (folder / "posterior.npz").exists():
+        from derender.results.posterior import load
 
-            def drawn(rng: np.random.Generator, count: int) -> "Iterator[SceneGraph]":
-                return (with_drawn_matter(prior.sample(rng), rng) for _ in range(count))
+        posterior = load(folder)
+        uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
+        return Found(name, posterior.best_graph(), document.camera, posterior.each_graph, uncertain, posterior,
+                     likelihood_numbers(document.likelihood))  # fmt: skip
+    prior = document.prior
+    if seed is not None and not document.is_scene:
 
-            return Source(next(drawn(np.random.default_rng(seed), 1)), camera, True, drawn)
-        graph = document.graph
+        def drawn(rng: np.random.Generator, count: int) -> "Iterator[SceneGraph]":
+            return (with_drawn_matter(prior.sample(rng), rng) for _ in range(count))
+
+        return Found(name, next(drawn(np.random.default_rng(seed), 1)), document.camera, drawn, True)
+    graph = document.graph
     uncertain = any(is_drawn(vertex.options) for vertex in graph.vertices)
-    return Source(graph, camera, uncertain, lambda rng, count: repeat(graph, count))
+    numbers = likelihood_numbers(document.likelihood)
+    return Found(name, graph, document.camera, lambda rng, count: repeat(graph, count), uncertain, None, numbers)
 
 
 def scene_paths(paths: "Sequence[str]") -> list[str]:

@@ -3,16 +3,13 @@
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from derender.cli import options
 from derender.cli.options import Talk
 from derender.errors import DerenderError
-
-if TYPE_CHECKING:
-    from derender.document import Document
 
 
 @click.command()
@@ -47,6 +44,7 @@ def command(
     """
     from derender.camera.depth_file import Reading
     from derender.cli.reading import read_scene_document
+    from derender.document import LikelihoodPrior
     from derender.report.scores import score_prior, score_scene
 
     document = read_scene_document(scene)
@@ -57,7 +55,8 @@ def command(
     found = Reading(camera, depth_scale).read(image, document.camera)
     if found.camera_is_guess:
         talk.warn("there is no camera with this image: taking a field of view of 60 degrees")
-    name, values = _likelihood(document)
+    likelihood = document.likelihood or LikelihoodPrior()
+    name, values = likelihood.type, likelihood.means
     under = score_prior(document, prior)
     score = score_scene(document.graph, found.depth, found.camera, name, values)._replace(prior=under)
     if as_json:
@@ -67,14 +66,6 @@ def command(
     click.echo(f"log prior       {_number(under.log_density)}  ({under.name}{why})")
     click.echo(f"log likelihood  {_number(score.log_likelihood)}  ({name})")
     click.echo(_table(score.shares))
-
-
-def _likelihood(document: "Document") -> tuple[str, dict[str, float]]:
-    """Return the type and the numbers of a scene's likelihood; numbers that are open take their prior's mean."""
-    if document.likelihood is None:
-        return "gaussian", {}
-    values = document.likelihood.values
-    return document.likelihood.type, {k: v if isinstance(v, float | int) else v.mean() for k, v in values.items()}
 
 
 def _number(value: float) -> str:

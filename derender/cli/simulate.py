@@ -14,7 +14,7 @@ from derender.cli.reading import scene_paths
 from derender.errors import DerenderError, Idle
 
 if TYPE_CHECKING:
-    from derender.cli.reading import Source
+    from derender.cli.reading import Found
     from derender.physics.intervention import Intervention
 
 ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
@@ -174,10 +174,10 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
     """Return the summary of a scene, the outcome of the most probable one, and what was read."""
     import numpy as np
 
-    from derender.cli.reading import read_source
+    from derender.cli.reading import read_scene
     from derender.physics.outcome import assumptions, outcomes, simulate_scene, summary_of
 
-    source = read_source(path, ask["seed"])
+    source = read_scene(path, ask["seed"])
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
     best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
     assumed = assumptions(best.matter)
@@ -284,7 +284,7 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
         raise DerenderError(what, output, f"give a name that ends in {' or '.join(wanted)}")
 
 
-def _animate(path: str, source: "Source", best: Any, talk: Talk) -> None:
+def _animate(path: str, source: "Found", best: Any, talk: Talk) -> None:
     from derender.camera.intrinsics import Camera
     from derender.report.animation import animate
 

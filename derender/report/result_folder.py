@@ -13,6 +13,7 @@ from derender.atomic import files_together, write_bytes, write_text
 from derender.camera.depth_file import DepthImage, write_depth
 from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
+from derender.json_text import finite_or_none
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import trusted
 
@@ -90,7 +91,9 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     text = document_text(graph, seen.camera, likelihood, made, home or folder)
     report = report._replace(files={"scene.yaml": ("text/yaml", text.encode()), **report.files})
     rows = {
-        row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
+        row["address"]: {
+            key: finite_or_none(float(row[key])) for key in row if key not in ("address", "draws", "unit", "scale")
+        }
         for row in report.parameters
     }
     summary = {
@@ -135,11 +138,6 @@ def judged(posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, 
     numbers = likelihood_numbers(likelihood.with_values(best.likelihood_at(*best.best_place)))
     name = Path(str(posterior.meta.get("image", "image"))).name
     return report_of(posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, shown=page)
-
-
-def _number(value: float) -> float | None:
-    """Return a number as JSON can hold it: None for nan and infinity."""
-    return float(value) if np.isfinite(value) else None
 
 
 def structure_summary(part: StructurePosterior) -> dict[str, Any]:

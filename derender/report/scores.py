@@ -9,6 +9,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
+from derender.json_text import finite_or_none
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.graph import SceneGraph
@@ -47,16 +48,15 @@ class Score(NamedTuple):
     def to_data(self) -> dict[str, Any]:
         """Return plain numbers for JSON; what is not finite becomes None."""
 
-        def plain(value):
-            return value if not isinstance(value, float) or np.isfinite(value) else None
-
         prior = self.prior or PriorScore("", np.nan)
         return {
-            "log_prior": plain(prior.log_density),
+            "log_prior": finite_or_none(prior.log_density),
             "prior": prior.name,
             "why": prior.why,
-            "log_likelihood": plain(self.log_likelihood),
-            "objects": [{key: plain(value) for key, value in share._asdict().items()} for share in self.shares],
+            "log_likelihood": finite_or_none(self.log_likelihood),
+            "objects": [
+                {key: finite_or_none(value) for key, value in share._asdict().items()} for share in self.shares
+            ],
         }
 
 

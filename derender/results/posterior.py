@@ -29,6 +29,7 @@ from derender.scene.priors.objects import check_range
 from derender.scene.shapes import shapes
 
 FORMAT = 2  # of posterior.npz
+TOLD = ("addresses", "weight", "weight_error", "weight_interval", "periods", "extras")  # of each part, in its header
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
 NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
@@ -233,26 +234,10 @@ class Posterior:
             arrays[f"log_likelihood_{number}"] = part.log_likelihood
             if part.root_pose is not None:
                 arrays[f"root_pose_{number}"] = part.root_pose
-            headers.append(
-                {
-                    "scene": document_text(part.graph),
-                    "objects": list(part.graph.names),
-                    "addresses": list(part.addresses),
-                    "weight": part.weight,
-                    "weight_error": part.weight_error,
-                    "weight_interval": None if part.weight_interval is None else list(part.weight_interval),
-                    "periods": list(part.periods),
-                    "extras": part.extras,
-                }
-            )
-        header = {
-            "format": FORMAT,
-            "seed": self.seed,
-            "command": self.command,
-            "version": self.version,
-            "meta": self.meta,
-            "parts": headers,
-        }
+            told = {key: getattr(part, key) for key in TOLD}
+            headers.append({"scene": document_text(part.graph), "objects": part.graph.names, **told})
+        own = {key: getattr(self, key) for key in ("seed", "command", "version", "meta")}
+        header = {"format": FORMAT, **own, "parts": headers}
         text = json.dumps(header, sort_keys=True, default=plain)
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, header=np.frombuffer(text.encode(), np.uint8), **arrays)
