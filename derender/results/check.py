@@ -85,8 +85,9 @@ MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
 SOME_BACKGROUND, MOST_OVER = 0.05, 0.04  # shares of the valid pixels: it counts; a region over the floor is too much
 RIM = 0.03  # metres within the outline of the floor that is seen: there the walls of a bin stand
-# A floor that is none: the least share of what shows no solid; the sine of its normal's turn about the optical axis.
-LEAST_FLOOR, SIDEWAYS = 0.4, 0.6
+# A floor that is none: the least share of what shows no solid (of a bin with its walls .4, of a desk in a room .3); the
+# sine of its normal's turn about the optical axis.
+LEAST_FLOOR, SIDEWAYS = 0.2, 0.6
 # The same of one that is looked at straight on (cosine) from so many metres or more: few cameras hang so high.
 LEAST_FACED, FACED, OVERHEAD = 0.6, 0.95, 1.5
 # Solids that the image does not bear out.
@@ -212,7 +213,7 @@ def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
     planes = [poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None]
     floor = float((valid & fit.explained & (fit.label == 0)).sum())
     share = floor / max(floor + float(fit.background.sum()), 1.0)
-    if fit.background.any() and share < LEAST_FLOOR:
+    if planes and fit.background.any() and share < LEAST_FLOOR:
         words = f"the floor explains {percent(floor / valid.sum())} of the image only, less than the background"
         doubts.append(Doubt(words))
     faced = [share < LEAST_FACED and -p[2, 2] > FACED and abs(p[:3, 2] @ p[:3, 3]) > OVERHEAD for p in planes]

@@ -91,8 +91,6 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     """
     lost = len(posterior.meta.get("lost_chains", ()))
     doubts = [f"{lost} of the chains died"] if lost else []
-    if posterior.meta.get("no_floor"):
-        doubts.append("no surface was found that things could stand on: only what stands free of all about it is told")
     doubts += [
         "another plane may be the floor, with a probability of {:.2f}: --floor={:.3g},{:.3g},{:.3g},{:.3g}".format(
             other["probability"], *other["plane"]
@@ -112,6 +110,9 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         doubts.append(f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others")
     told += [Doubt(f"{name} touches nothing: what bears it was not found", about=(name,))
              for name in posterior.meta.get("hanging", ())]  # fmt: skip
+    if posterior.meta.get("no_floor"):  # what else is there is not known; what is told stands free, whatever bears it
+        words = "no surface was found that things could stand on: only what stands free of all about it is told"
+        told.append(Doubt(words, about=()))
     if posterior.meta.get("interrupted"):
         doubts.append("it was interrupted: this is the best so far")
     for view in posterior.meta.get("views", ()):

@@ -19,7 +19,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn, unit_of
 from derender.errors import DerenderError
-from derender.results.check import LEAST_FITTING, LEAST_FLOOR
+from derender.results.check import LEAST_FITTING
 from derender.results.fit import Explanation
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
@@ -313,6 +313,9 @@ def image_of(seen: Observation, case: Case, temper: float) -> "Image":
     return Image(case.depth, case.camera, sigma, temper, case.options.unit or 1.0)
 
 
+LITTLE_FLOOR = 0.4  # share of what shows no solid: what stands on the rest may be told background
+
+
 def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],
               missed: Missed, explained: float) -> float:  # fmt: skip
     """Return the probability that the search has missed what is there.
@@ -329,7 +332,7 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     settled = settled and bool(extras.get("weighed", True))
     floor, behind = seen.floor.inliers.mean(), seen.behind.mean()
     alone = len(observations) == 1  # what stands on other planes is told with them
-    lost = seen.no_floor or (alone and floor < LEAST_FLOOR * (floor + behind))
+    lost = seen.no_floor or (alone and floor < LITTLE_FLOOR * (floor + behind))
     whole = missed.no_floor if lost else missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))

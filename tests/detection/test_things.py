@@ -343,7 +343,7 @@ def test_a_gable_is_the_slope_of_its_carton_and_what_stands_on_one_is_not():
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
     existence = bare_image().loose.existence  # as the built-in prior's file says
-    told = np.array([existence.of(gain, 0.5) for gain in (0.0, 10.0, 27.0, 60.0, 1e4)])
+    told = np.array([existence.of(gain, 0.5) for gain in (0.0, 10.0, 35.0, 60.0, 1e4)])
     assert (np.diff(told[:, 0]) > 0.0).all() and told[-1, 0] <= 0.98
     assert told[2, 0] == pytest.approx(0.49) and told[2, 1] > told[-1, 1] > told[0, 1]
 

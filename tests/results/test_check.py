@@ -149,7 +149,7 @@ def test_range_instead_of_depth_is_told():
 def test_a_floor_that_explains_less_than_the_background_is_doubted():
     seen = image(TRUE)
     fit = fit_of(TRUE, CAMERA, seen, LIKELIHOOD)
-    nearer = (np.arange(120)[:, None] < 95) & (fit.label == 0)
+    nearer = (np.arange(120)[:, None] < 110) & (fit.label == 0)
     seen[nearer] -= 0.2
     told = np.where(nearer, seen, fit.depth)
     assert any("less than the background" in doubt.words for doubt in doubts_of(TRUE, seen, told=told))

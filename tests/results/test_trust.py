@@ -7,7 +7,7 @@ import pytest
 
 from derender.report.tables import parameter_rows
 from derender.results.table import probability_text
-from derender.results.trust import Doubt, chain_doubts, doubtful, enough_draws, limits, trusted, verdict
+from derender.results.trust import Doubt, chain_doubts, doubtful, enough_draws, judgement, limits, trusted, verdict
 
 
 def chains(correlation, draws, rng, count=2):
@@ -98,6 +98,17 @@ def test_what_touches_nothing_is_doubted():
     posterior.meta["hanging"] = ["box_1"]
     (doubt,) = chain_doubts(posterior, [])
     assert doubt.serious and doubt.about == ("box_1",) and "touches nothing" in doubt.words
+
+
+def test_of_an_image_without_a_floor_objects_are_trusted_by_themselves():
+    """A tissue box before a shelf was right, and in doubt for what else the shelf might hold."""
+    posterior = seen_by_a_sensor(0.0)
+    posterior.best_part.values = np.zeros((1, 1, 0))
+    posterior.meta["no_floor"] = True
+    box = SimpleNamespace(name="box_1", body=posterior.best_part.graph.body(""), parent="root", supports=())
+    posterior.best_part.graph.vertices = [box]
+    judged = judgement(chain_doubts(posterior, []), posterior.best_part.graph)
+    assert not judged["trusted"] and judged["in_doubt"] == [] and "no surface was found" in judged["doubts"][0]
 
 
 def test_what_is_worth_knowing_comes_last_and_harms_nothing():

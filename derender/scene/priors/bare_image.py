@@ -27,8 +27,8 @@ class Existence:
         nats count with the square of that.
     """
 
-    even: float = 27.0
-    steep: float = 1.0  # power with which the odds grow with the nats
+    even: float = 35.0
+    steep: float = 1.5  # power with which the odds grow with the nats
     most: float = 0.98  # the most that is said
     error: float = 0.05  # standard error of that
     error_at_even: float = 0.15  # at even odds
