@@ -41,8 +41,8 @@ HANGS = 0.15  # of its height, how far over what it could stand on the lowest po
 # or a silhouette that a smoothed image lets go over into the flat behind it.
 TURN = 0.1
 NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
-HIDDEN = 0.05  # share of a thing's outline beyond which something nearer may hide its foot
-HANDLE = 0.25  # share of a solid's pixels that its handle shows in at most
+HIDDEN = 0.1  # share of a thing's outline beyond which something nearer may hide its foot, a quarter of a cube's
+HANDLE = 0.25  # share of something's pixels that its handle or its head shows in at most
 SLENDER = 0.25  # of its height, how wide at most a thing is that could hardly stand on its end
 JOINT = 0.04  # share of a thing's outline along which a solid goes on that it is a part of
 # Of a free-form thing's pixels, and of its own outline: what shows so little beside it and meets it along so much is an
@@ -89,8 +89,9 @@ def part_of_another(
 ) -> tuple[int, int] | None:
     """Return what is a part of something else, and of what; None where nothing is.
 
-    That hangs in the air and goes on without an edge, as a torso does into legs, or is little beside a free-form thing
-    along which it lies. Solids are told by their index, things by that of their masks after all solids.
+    That hangs in the air and goes on without an edge, as a torso does into legs, or is a small free-form thing on a
+    larger one, as a head on its neck; or is little beside one along which it lies. Solids are told by their index,
+    things by that of their masks after all solids.
     """
     _, label, misfit, _ = held_out(seen.image, state, -1)
     piece = np.where((seen.image.weight > 0) & (misfit < LIMIT), label, -1)
@@ -111,7 +112,9 @@ def part_of_another(
         if k < len(state) and shares_of_load(state.rows, k, HELD):
             continue
         much = other >= len(state) or mask.sum() >= PART * (piece == other).sum()
-        onward = much and touched[other] > JOINT * outline and turned[other] > -TURN * touched[other]
+        small = mask.sum() < HANDLE * (piece == other).sum()
+        borne = k >= len(state) <= other and small  # a head, by its neck
+        onward = much and touched[other] > JOINT * outline and (borne or turned[other] > -TURN * touched[other])
         if onward and hangs(seen, state.without(k) if k < len(state) else state, mask):
             return k, other
     return None

@@ -193,6 +193,20 @@ def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_
         assert part_of_another(seen, State(), masks, normal) == expected
 
 
+def test_a_small_piece_in_the_air_is_part_of_the_free_form_thing_that_bears_it():
+    """The heads of persons were objects of their own, with a box down to the floor."""
+    torso, head = trimesh.creation.box([0.2, 0.1, 0.2]), trimesh.creation.icosphere(radius=0.04)
+    head.apply_translation([0.0, 0.0, 0.13])
+    whole = trimesh.util.concatenate([torso, head])
+    whole.apply_translation(-whole.bounds.mean(axis=0))
+    mesh = whole.vertices, np.ascontiguousarray(whole.faces, np.int32)
+    seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, tuple(whole.extents), mesh)]), CAMERA)
+    over = seen.points[..., 2] > 0.202
+    masks = [(seen.mask & over, 0.0), (seen.mask & ~over, 0.0)]
+    normal = seen.surface.normals(seen.surface.good)
+    assert part_of_another(seen, State(), masks, normal) == (0, 1)
+
+
 @pytest.mark.parametrize("behind, touches", [(0.005, True), (0.02, False)])
 def test_what_lies_well_behind_something_does_not_touch_it(behind, touches):
     """A cube was taken for a part of a tool that hung behind it."""
