@@ -30,7 +30,6 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.camera
 @options.depth_scale
 @options.renderer
-@click.option("--antialias", type=click.IntRange(1, 16), default=1, metavar="N", help="N x N samples.")
 @options.noise
 @click.option(
     "--sensor",
@@ -42,7 +41,7 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.seed
 @options.quiet
 @options.tells_idle(
-    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth")
+    Idle(("noise", "sensor", "depth_scale"), lambda given: given["preview"], "--preview draws no depth")
 )
 def command(
     scenes: tuple[str, ...],
@@ -50,7 +49,6 @@ def command(
     camera: str | None,
     depth_scale: float | None,
     renderer: str,
-    antialias: int,
     noise: bool,
     sensor: str | None,
     preview: bool,
@@ -82,7 +80,7 @@ def command(
         if preview:
             _write_picture(target, engine, graph, eye)
         else:
-            depth, label = engine.render_depth(graph.solids(), eye, antialias=antialias)
+            depth, label = engine.render_depth(graph.solids(), eye)
             if noise:
                 depth = observe(rng, depth, document.likelihood)
             if distort:
