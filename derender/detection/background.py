@@ -19,7 +19,7 @@ from derender.detection.outline import ends_of
 from derender.detection.patches import APART, SeenSurface, local_planes
 from derender.detection.search.bodies import label_bodies
 from derender.detection.segments import segments
-from derender.scene.hull import convex_outline, outline_planes
+from derender.scene.polygon import convex_outline, outline_planes
 
 LONG = 0.5  # metres: what is longer and cut by the image's border is no solid on a table
 CUT = 0.35  # share of a body's width or height in pixels along which a border cuts it

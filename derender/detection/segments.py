@@ -10,7 +10,7 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.detection.patches import SeenSurface, separation
 from derender.detection.search.bodies import TIGHT, label_bodies
-from derender.scene.hull import convex_outline
+from derender.scene.polygon import convex_outline
 from derender.scene.priors.bare_image import Things
 
 REACH = 2  # pixels on either side over which the normals are compared

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.scene.hull import chain
+from derender.scene.polygon import chain
 from derender.scene.separation import FLAT_AXES, ROUND_AXES, flat_axis, reach, round_axis
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE
 

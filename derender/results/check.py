@@ -16,7 +16,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.trust import LETTERS, Doubt, Region
-from derender.scene.hull import convex_outline, outline_planes
+from derender.scene.polygon import convex_outline, outline_planes
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph

@@ -11,7 +11,7 @@ from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import THINNEST, Thing
 from derender.results.posterior import NINETY
-from derender.scene.hull import convex_outline
+from derender.scene.polygon import convex_outline
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.mesh import encode_surface
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from derender.detection.outline import ends_of
-from derender.scene.hull import convex_outline, outline_planes
+from derender.scene.polygon import convex_outline, outline_planes
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -10,7 +10,7 @@ from derender.detection.outline import ends_of
 from derender.detection.patches import Patches, components
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.scene.hull import convex_outline
+from derender.scene.polygon import convex_outline
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
