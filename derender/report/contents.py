@@ -85,10 +85,10 @@ def report_of(
     if camera is not None and observed is not None:
         if told is None and posterior is not None and posterior.explanation is not None:
             told = posterior.explanation.depth
-        uneven = 0.0 if posterior is None else posterior.meta.get("noise", 0.0)
-        fit = fit_of(graph, camera, observed, likelihood or {}, told, uneven)
-        spots = () if posterior is None else posterior.meta.get("spots", ())
-        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots))
+        meta = {} if posterior is None else posterior.meta
+        fit = fit_of(graph, camera, observed, likelihood or {}, told, meta.get("noise", 0.0))
+        spots, real = meta.get("spots", ()), meta.get("faces", 0.0) > 0.0
+        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots, real))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)
