@@ -87,7 +87,8 @@ def infer_frames(
     waiting = deque(ledger.missing(frames))
     before, total = len(frames) - len(waiting), len(waiting)
     count = {"done": 0, "doubtful": 0, "failed": 0}
-    in_turn = _InTurn([] if watch else [frame.name for frame in waiting], tell)
+    in_turn = deque([] if watch else [frame.name for frame in waiting])
+    early: dict[str, Done] = {}  # by name: a frame waits for those before it
     started = time.monotonic()
     due = started + GATHER
     crew = crew_of(order, str(output))
@@ -108,7 +109,9 @@ def infer_frames(
                     ledger.record(done)
                     count["failed" if done.error else "done"] += 1
                     count["doubtful"] += not done.error and not done.rows[0]["trusted"]
-                    in_turn.add(done)
+                    early[done.frame.name] = done
+                    while early and (watch or in_turn[0] in early):
+                        tell(early.pop(done.frame.name if watch else in_turn.popleft()))
                 now, over = time.monotonic(), count["done"] + count["failed"]
                 if now > due and over:
                     ledger.write_tables()
@@ -143,23 +146,6 @@ def duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60:02d} min"
-
-
-class _InTurn:
-    """Tells of frames in their order: one that is done early waits for those before it."""
-
-    def __init__(self, names: Sequence[str], tell: Callable[[Done], None]) -> None:
-        self.names, self.tell = deque(names), tell
-        self.early: dict[str, Done] = {}
-        self.ordered = bool(names)
-
-    def add(self, done: Done) -> None:
-        if not self.ordered:
-            self.tell(done)
-            return
-        self.early[done.frame.name] = done
-        while self.names and self.names[0] in self.early:
-            self.tell(self.early.pop(self.names.popleft()))
 
 
 # A terminal or a scheduler sends them to all processes of a group.

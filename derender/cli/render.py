@@ -87,7 +87,9 @@ def command(
                 depth = distort(rng, depth)
             write_depth(target, depth, eye, {"seed": seed, "command": options.command_line()}, label)
         if target != "-":
-            talk.say(f"wrote {target}")
+            own = camera or (scene if document.camera and scene != "-" else None)
+            apart = own and not preview and Path(target).suffix.lower() != ".npz"  # else the file holds it
+            talk.say(f"wrote {target}" + (f" (infer needs its camera: --camera {own})" if apart else ""))
 
 
 def _targets(scenes: tuple[str, ...], output: str | None, preview: bool) -> list[str]:

@@ -306,7 +306,8 @@ LIKELIHOOD = {"type?": str, str: float}
 HEADER = {
     "seed": {int, None}, "command": {str, None}, "version": {str, None},
     "meta": {
-        "camera?": dict, "doubts?": [str], "existence?": {str: (float, float)}, "explained?": float, "faces?": float,
+        "camera?": dict, "camera_guessed?": bool,
+        "doubts?": [str], "existence?": {str: (float, float)}, "explained?": float, "faces?": float,
         "hanging?": [str], "hidden_expected?": {float, None}, "image?": str, "in_doubt?": [str],
         "likelihood?": LIKELIHOOD, "lost_chains?": list, "missed?": float, "noise?": float,
         "other_floors?": [{"probability": float, "plane": (float, float, float, float)}],

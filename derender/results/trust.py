@@ -113,6 +113,8 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     if posterior.meta.get("no_floor"):  # what else is there is not known; what is told stands free, whatever bears it
         words = "no surface was found that things could stand on: only what stands free of all about it is told"
         told.append(Doubt(words, about=()))
+    if posterior.meta.get("camera_guessed"):
+        told.append(Doubt("no camera was given: with another field of view all sizes are others", False, about=()))
     if posterior.meta.get("interrupted"):
         doubts.append("it was interrupted: this is the best so far")
     for view in posterior.meta.get("views", ()):

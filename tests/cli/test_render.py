@@ -46,6 +46,11 @@ def test_every_suffix_holds_the_same_depth(suffix, folder):
     assert np.allclose(depth, reference, atol=0.0005001 if suffix == ".png" else 1e-6, equal_nan=True)
 
 
+def test_of_a_file_that_holds_no_camera_it_says_where_that_is(folder, capsys):
+    assert run("scene_a.yaml", "-o", "d.png") == 0 and run("scene_a.yaml", "-o", "d.npz") == 0
+    assert capsys.readouterr().err == "wrote d.png (infer needs its camera: --camera scene_a.yaml)\nwrote d.npz\n"
+
+
 def test_several_scenes_go_to_several_files(folder):
     assert run("scene_a.yaml", "scene_b.yaml") == 0
     assert run("scene_a.yaml", "scene_b.yaml", "-o", "images/") == 0

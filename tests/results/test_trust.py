@@ -48,6 +48,14 @@ def seen_by_a_sensor(faces):
     return SimpleNamespace(meta={"faces": faces}, best_part=part, object_probability=lambda name: 0.97)
 
 
+def test_a_field_of_view_that_was_guessed_is_told_with_the_answer():
+    posterior = seen_by_a_sensor(0.0)
+    assert not chain_doubts(posterior, [])
+    posterior.meta["camera_guessed"] = True
+    (doubt,) = chain_doubts(posterior, [])
+    assert "no camera was given" in doubt.words and not doubt.serious and not doubt.about
+
+
 @pytest.mark.parametrize("count, known, expected", [(4, 0.7, True), (3, 0.7, False), (40, 0.96, False)])
 def test_an_answer_is_doubted_of_whose_objects_several_are_expected_to_be_none(count, known, expected):
     """A desk of ten objects, each likelier there than not, was trusted: two of them were none."""
