@@ -329,11 +329,14 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     """
     seen = observations[0]
     settled = all(each.agreed for each in observations) and not extras.get("spots")
-    settled = settled and bool(extras.get("weighed", True))
     floor, behind = seen.floor.inliers.mean(), seen.behind.mean()
     alone = len(observations) == 1  # what stands on other planes is told with them
     lost = seen.no_floor or (alone and floor < LITTLE_FLOOR * (floor + behind))
-    whole = missed.no_floor if lost else missed.settled if settled else missed.open
+    whole = missed.settled if settled else missed.open
+    if not extras.get("weighed", True):
+        whole = missed.unweighed
+    if lost:
+        whole = missed.no_floor
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
     found = 1.0 - missed.few * np.exp(-np.array(extras.get("pixels", [])) / missed.pixels)

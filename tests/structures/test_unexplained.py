@@ -120,7 +120,7 @@ def test_no_answer_is_surer_than_the_search():
 
     assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()
     assert told({"spots": [[0.1, 0.2, 0.5, 0.6]], "pixels": [300.0]}) == pytest.approx(missed.open, abs=1e-6)
-    assert told({"pixels": [300.0], "weighed": False}) == pytest.approx(missed.open, abs=1e-6)  # by --method map
+    assert told({"pixels": [300.0], "weighed": False}) == pytest.approx(missed.unweighed, abs=1e-6)  # by --method map
     assert told(agreed=False) == pytest.approx(missed.open, abs=1e-6)
     most = (
         np.arange(10) < 9

@@ -45,18 +45,19 @@ class Existence:
 class Missed:
     """How probable it is that a search has not found what is there at all, see `structures.infer.missed_by`.
 
-    settled : of an image, where two searches agreed, nothing is left unexplained, and what was found was weighed
-        against others (`--method map` does not).
+    settled : of an image, where two searches agreed and nothing is left unexplained.
+    unweighed : where what was found was not weighed against others (`--method map` does not).
     explained : of an answer of known objects, share of the pixels from which on nothing is left unexplained.
     """
 
     settled: float = 0.005
-    open: float = 0.12  # where not
+    open: float = 0.05  # where not
+    unweighed: float = 0.12
     no_floor: float = 0.5  # where nothing was found to stand on, or a floor that shows little
     sensor: float = 0.1  # of a real sensor's image
     unexplained: float = 0.05  # share of its pixels that solids do not explain at which e times fewer answers are right
     few: float = 0.3  # of each solid, did it show in no pixel
-    pixels: float = 10.0  # independent ones in which it shows, e times less at each
+    pixels: float = 5.0  # independent ones in which it shows, e times less at each
     wrong: float = 0.4  # share of the objects of an answer that are not there, where it surely missed what is
     explained: float = 0.95
     error: float = 0.4  # standard error of what these come to, as a share of it: a few misses were counted
