@@ -9,7 +9,7 @@ import json
 import math
 import shutil
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -71,12 +71,8 @@ def root_seen(floor_pose: np.ndarray) -> np.ndarray:
 def _looked_at(floor_pose: np.ndarray) -> dict[str, float]:
     """Return distance, elevation, azimuth and roll, by address, at which a root would lie on a floor."""
     up, place = floor_pose[:3, 2], floor_pose[:3, 3]
-    return {
-        "root.distance": float(up @ place / up[2]) if abs(up[2]) > 1e-9 else math.inf,
-        "root.elevation": math.asin(min(max(-up[2], -1.0), 1.0)),
-        "root.azimuth": 0.0,
-        "root.roll": math.atan2(up[0], -up[1]),
-    }
+    far = float(up @ place / up[2]) if abs(up[2]) > 1e-9 else math.inf
+    return LookedAtRoot(0.0, 0.0).values(floor_pose) | {"root.distance": far, "root.azimuth": 0.0}
 
 
 def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, angle: float = 0.03) -> list[Hypothesis]:
@@ -406,17 +402,10 @@ def called(graph: SceneGraph, names: Mapping[str, str]) -> SceneGraph:
     return replace(graph, vertices=vertices)
 
 
-def names_by_kind(words: Vocabulary, graph: SceneGraph, taken: Collection[str]) -> dict[str, str]:
-    """Return {name: one that fits} of the objects that have become another kind since they were named after theirs.
-
-    taken : names that other objects have.
-    """
-    names: dict[str, str] = {}
-    for name in words.grown(graph):
-        entry, vertex = words.shapes.get(name.rpartition("_")[0]), graph.vertex(name)
-        if entry is not None and not entry.matches(vertex):
-            names[name] = words.fresh_name({*taken, *names.values()}, words.kind_of(vertex))
-    return names
+def unnamed(graph: SceneGraph) -> tuple:
+    """Return what tells a structure from others, whatever its objects are called."""
+    return tuple(sorted((v.shape, graph.body(v.parent).shape.name, v.contact.type, str(v.contact.child_face))
+                        for v in graph.vertices))  # fmt: skip
 
 
 def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
@@ -434,10 +423,12 @@ def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
 def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
     """Return the draws of chains as a Posterior: one part for each structure, objects told by their places.
 
-    They are called after their kinds in the likeliest structure.
+    They are called as in the best draw of the likeliest structure.
     """
     every = [state for draws in found for state in draws.states]
-    reference = max(every, key=lambda state: state.log_prior + state.log_likelihood).graph
+    (likeliest, _), *_ = Counter(unnamed(state.graph) for state in every).most_common(1)
+    there = (state for state in every if unnamed(state.graph) == likeliest)
+    reference = max(there, key=lambda state: state.log_prior + state.log_likelihood).graph
     visited: list[list[tuple]] = []
     groups: dict[tuple, list[list[Visit]]] = {}
     for number, draws in enumerate(found):
@@ -447,13 +438,7 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
             visited[-1].append(graph.structure())
             chains = groups.setdefault(graph.structure(), [[] for _ in found])
             chains[number].append(Visit(graph, state, 1.0 / (len(draws.states) * len(found))))
-    heaviest = max(groups.values(), key=lambda chains: sum(visit.weight for chain in chains for visit in chain))
-    taken = {name for structure in groups for name, *_ in structure}
-    names = names_by_kind(words, next(visit.graph for chain in heaviest for visit in chain), taken)
-    parts = [
-        _part(words, [[visit._replace(graph=called(visit.graph, names)) for visit in chain] for chain in chains])
-        for chains in groups.values()
-    ]
+    parts = [_part(words, chains) for chains in groups.values()]
     extras = {name: np.mean([draws.acceptance.get(name, 0.0) for draws in found]) for name in found[0].acceptance}
     meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()},
                             "structure_chains": agreement(visited)}  # fmt: skip
