@@ -100,10 +100,6 @@ class Space:
                 total += unknown.distribution.log_density(float(values[start]))
         return total
 
-    def size(self, block: Block) -> int:
-        """Return how many directions the block's tangents have."""
-        return sum(int(self.directions[i + 1] - self.directions[i]) for i in block.unknowns)
-
     def move(self, values: np.ndarray, block: Block, tangent: np.ndarray) -> np.ndarray:
         """Return the values after a step of the block by `tangent`.
 

@@ -22,7 +22,7 @@ from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene import solids as kinds
-from derender.scene.graph import SceneGraph
+from derender.scene.graph import SceneGraph, relative_pose
 from derender.scene.pose import quaternion, rotation_x
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def glb_bytes(graph: SceneGraph, trajectory: "Trajectory | None" = None) -> byte
     tree["nodes"].append({"name": "root", "matrix": _column_major(up @ poses["root"]), "children": []})
     numbers = {"root": 0}
     for vertex in graph.vertices:
-        relative = graph.relative_pose(vertex.name)
+        relative = relative_pose(vertex, graph.body(vertex.parent))
         number = numbers[vertex.name] = len(tree["nodes"])
         node: dict[str, Any] = {"name": vertex.name, "matrix": _column_major(relative)}
         tree["nodes"].append(node)

@@ -256,11 +256,6 @@ class SceneGraph:
 
     # ---- poses ----------------------------------------------------------------------------------------------------
 
-    def relative_pose(self, name: str) -> np.ndarray:
-        """Return the (4, 4) pose of a vertex in its parent's object axes."""
-        vertex = self.vertex(name)
-        return relative_pose(vertex, self.body(vertex.parent))
-
     def poses(self) -> dict[str, np.ndarray]:
         """Return the pose (4, 4), object to camera, of every vertex by name, and of the root (Eq. 1)."""
         return dict(self._poses)

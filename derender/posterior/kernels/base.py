@@ -246,7 +246,8 @@ class DriftType(KernelType):
 
     def scale(self, space: Space, part: Part, tuning: Tuning) -> float:
         # 2.4 / sqrt(D): best for a normal posterior (Roberts, Gelman, Gilks 1997)
-        return part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(space.size(part.block))
+        size = len(directions_of(space, part.block))
+        return part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(size)
 
 
 @kernels.register("drift")
