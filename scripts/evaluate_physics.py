@@ -14,7 +14,7 @@ import numpy as np
 from real_frames import real_folder
 
 from derender.physics.bodies import Body, Matter
-from derender.physics.intervention import Disturbance, Push, intervention
+from derender.physics.intervention import Intervention, Push, intervention
 from derender.physics.outcome import simulate_scene
 from derender.physics.simulate import judge, simulate
 from derender.physics.statics import Equilibrium
@@ -219,7 +219,7 @@ def report_pushes():
         while high - low > 0.005:
             share = 0.5 * (low + high)
             force = np.array([share * friction * 0.5 * 9.81, 0, 0])
-            pushed = simulate(scene(cube), 1.0, disturbance=Disturbance((Push("a", force, 0.0, 1.0),)))
+            pushed = simulate(scene(cube), 1.0, disturbance=Intervention((Push("a", force, 0.0, 1.0),)))
             slid = pushed.poses[-1, 0, 0, 3] > 0.002
             low, high = (low, share) if slid else (share, high)
         errors.append(abs(0.5 * (low + high) - 1))

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -190,7 +191,7 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
         limit = MOST_DRAWS if ask["until"] else ask["draws"]
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
         drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], ask["jobs"], ask["until"])
-        runs = [run._replace(trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
+        runs = [replace(run, trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
     return summary_of(best, runs, assumed, source.missed), best, source
 
 

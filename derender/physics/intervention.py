@@ -35,30 +35,6 @@ class Shake(NamedTuple):
         return self.amplitude * turn**2 * np.cos(turn * time) * np.asarray(self.direction)
 
 
-class Disturbance(NamedTuple):
-    """All that is done to a scene while it is simulated."""
-
-    pushes: tuple[Push, ...] = ()
-    shake: Shake | None = None
-
-    @property
-    def ends(self) -> float:
-        """Seconds after which nothing is done any more; infinite while the floor shakes."""
-        return np.inf if self.shake is not None else max((p.start + p.duration for p in self.pushes), default=0.0)
-
-    def forces(self, time: float) -> Mapping[str, np.ndarray]:
-        """Return the force (3,) on each body that is being pushed at a time."""
-        found: dict[str, np.ndarray] = {}
-        for push in self.pushes:
-            if push.start <= time < push.start + push.duration:
-                found[push.body] = found.get(push.body, np.zeros(3)) + push.force
-        return found
-
-    def edges(self) -> list[float]:
-        """Return the times at which a push begins or ends."""
-        return sorted({time for push in self.pushes for time in (push.start, push.start + push.duration)})
-
-
 def tilted(matter: Matter, angle: float, direction: np.ndarray) -> Matter:
     """Return a scene on a floor that is lowered on one side: gravity leans over towards `direction` by radians."""
     axis = np.cross(-matter.up, direction)
@@ -117,13 +93,28 @@ class Intervention(NamedTuple):
         found = Matter(tuple(bodies), matter.gravity, tuple(supports))
         return found if self.tilt is None else tilted(found, self.tilt[0], axes @ self.tilt[1])
 
-    def disturbance(self, axes: np.ndarray) -> Disturbance | None:
-        """Return what acts on the scene while it is simulated; None where nothing does."""
-        if not self.pushes and self.shake is None:
-            return None
+    def in_scene(self, axes: np.ndarray) -> "Intervention":
+        """Return what acts on the scene while it is simulated, in the scene's own axes."""
         pushes = tuple(push._replace(force=axes @ push.force) for push in self.pushes)
         shake = None if self.shake is None else self.shake._replace(direction=axes @ self.shake.direction)
-        return Disturbance(pushes, shake)
+        return Intervention(pushes, shake=shake)
+
+    @property
+    def ends(self) -> float:
+        """Seconds after which nothing is done any more; infinite while the floor shakes."""
+        return np.inf if self.shake is not None else max((p.start + p.duration for p in self.pushes), default=0.0)
+
+    def forces(self, time: float) -> Mapping[str, np.ndarray]:
+        """Return the force (3,) on each body that is being pushed at a time."""
+        found: dict[str, np.ndarray] = {}
+        for push in self.pushes:
+            if push.start <= time < push.start + push.duration:
+                found[push.body] = found.get(push.body, np.zeros(3)) + push.force
+        return found
+
+    def edges(self) -> list[float]:
+        """Return the times at which a push begins or ends."""
+        return sorted({time for push in self.pushes for time in (push.start, push.start + push.duration)})
 
 
 def read_push(text: str) -> Push:

@@ -9,6 +9,7 @@ CSV and the terminal, with what physics had to assume of a scene that could not 
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,7 +19,7 @@ from derender.errors import DerenderError
 from derender.physics.bodies import LEAST_MASS, Matter, matter_of_graph
 from derender.physics.intervention import Intervention, intervention
 from derender.physics.statics import ContactForce, Equilibrium, find_contacts, widest_gap
-from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory
+from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory, Verdict, judge
 from derender.registry import suggest
 
 if TYPE_CHECKING:
@@ -34,19 +35,13 @@ FAR = 0.4
 LEAST_DRAWS = 10
 
 
-class Outcome(NamedTuple):
-    """What happens to a scene.
+@dataclass(frozen=True)
+class Outcome(Verdict):
+    """What happens to a scene, by the simulation where there is one; statics know only what moves from the start.
 
-    displacement, rotation : the greatest distance and angle from where it began, metres and radians by name.
     margin : the least horizontal acceleration that topples or slides something, g; None where it was not asked for.
     """
 
-    verdict: str  # "stands", "settles" or "falls", by the simulation where there is one, else by statics
-    stable: bool  # whether it stands
-    fallen: tuple[str, ...]  # who moved, the first first
-    first_moved: dict[str, float]  # when, seconds by name
-    displacement: dict[str, float]
-    rotation: dict[str, float]
     by_engine: dict[str, str]  # the verdict of each engine asked
     margin: float | None
     forces: tuple[ContactForce, ...]  # contact forces that hold the scene, where asked for and where it can be held
@@ -86,7 +81,6 @@ def simulate_scene(
     Raises DerenderError : an unknown object or engine, a text that cannot be read, numbers that diverge.
     """
     from derender.physics.simulate import simulate
-    from derender.physics.verdict import judge
 
     if engine not in ENGINES:
         raise DerenderError(f"no engine is called {engine!r}", None, "choose from " + " ".join(ENGINES))
@@ -102,24 +96,19 @@ def simulate_scene(
         assert found is not None
         by_engine["statics"] = STANDS if found.stands else FALLS
     trajectory = None
-    moved = found.unbalanced() if found is not None else {}
-    first_moved = dict.fromkeys(moved, 0.0)
-    displacement: dict[str, float] = {}
-    rotation: dict[str, float] = {}
-    if engine != "statics":
-        disturbance = what.disturbance(axes)
+    if engine == "statics" and found is not None:
+        verdict = Verdict(by_engine["statics"], dict.fromkeys(found.unbalanced(), 0.0), {}, {})
+    else:
+        disturbance = what.in_scene(axes) if what.pushes or what.shake is not None else None
         trajectory = simulate(matter, duration, early=early, disturbance=disturbance)
         verdict = judge(trajectory, matter)
         shaken = disturbance is not None and disturbance.shake is not None
-        if verdict.word == FALLS and not trajectory.resting and not shaken and _may_yet_rest(trajectory):
+        if verdict.verdict == FALLS and not trajectory.resting and not shaken and _may_yet_rest(trajectory):
             verdict = judge(simulate(matter, PATIENCE * duration, early=True, disturbance=disturbance), matter)
-        by_engine["mujoco"] = verdict.word
-        first_moved, displacement, rotation = verdict.first_moved, verdict.displacement, verdict.rotation
-    word = by_engine["statics" if engine == "statics" else "mujoco"]
+        by_engine["mujoco"] = verdict.verdict
     return Outcome(
-        word, word == STANDS, tuple(first_moved), first_moved, displacement, rotation, by_engine,
-        found.margin()[0] if found is not None and margin else None,
-        tuple(found.forces()) if found is not None and forces else (), trajectory, matter,
+        **vars(verdict), by_engine=by_engine, margin=found.margin()[0] if found is not None and margin else None,
+        forces=tuple(found.forces()) if found is not None and forces else (), trajectory=trajectory, matter=matter,
     )  # fmt: skip
 
 

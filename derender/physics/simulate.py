@@ -6,7 +6,7 @@ The same bodies again and again with other numbers, as inference asks, are `dere
 import numpy as np
 
 from derender.physics.bodies import Matter
-from derender.physics.intervention import Disturbance
+from derender.physics.intervention import Intervention
 from derender.physics.mujoco_model import BOUNCING_TIMESTEP, MOVING_TIMESTEP, Diverged, World
 from derender.physics.verdict import DISPLACEMENT_TOLERANCE, Fate, Trajectory, Verdict, judge, save_trajectory
 
@@ -23,7 +23,7 @@ def simulate(
     duration: float = DURATION,
     frames_per_second: float = FRAMES_PER_SECOND,
     early: bool = False,
-    disturbance: Disturbance | None = None,
+    disturbance: Intervention | None = None,
     timestep: float | None = None,
 ) -> Trajectory:
     """Let a scene go and return its trajectory.
@@ -50,10 +50,10 @@ def _run(
     duration: float,
     frames_per_second: float,
     early: bool,
-    disturbance: Disturbance | None,
+    disturbance: Intervention | None,
     timestep: float | None,
 ) -> Trajectory:
-    done = disturbance or Disturbance()
+    done = disturbance or Intervention()
     world = World(matter, timestep=timestep, sleeping=disturbance is None, moving=True if disturbance else None)
     shown = [i for i, body in enumerate(matter.bodies) if body.kind != "plane"]
     place = np.array([k for k, i in enumerate(shown) if matter.bodies[i].moves], dtype=int)
@@ -89,7 +89,7 @@ def _run(
     return Trajectory(names, sizes, times[: last + 1], poses[: last + 1], resting)
 
 
-def advance(world: World, done: Disturbance, gravity: np.ndarray, first: int, last: int) -> None:
+def advance(world: World, done: Intervention, gravity: np.ndarray, first: int, last: int) -> None:
     """Step a world from step number `first` to `last` under what is done to it."""
     if done.shake is not None:
         for step in range(first, last):

@@ -3,7 +3,7 @@
 Also the scene graph of where things came to rest: every body on what bears it now.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -85,20 +85,28 @@ UPWARDS = 0.5
 TOPPLED = np.cos(np.deg2rad(45.0))
 
 
-class Verdict(NamedTuple):
+@dataclass(frozen=True)
+class Verdict:
     """Whether a scene stands.
 
-    word : "stands"; "settles": something moved and came to rest as the same structure, every body on what bore it
+    verdict : "stands"; "settles": something moved and came to rest as the same structure, every body on what bore it
         before and the same side up; or "falls".
-    first_moved : when each of `fallen` left its place, seconds.
     """
 
-    stable: bool  # whether every body stayed where it was, at all times
-    fallen: tuple[str, ...]  # names of those that did not, the first to move first
+    verdict: str
+    first_moved: dict[str, float]  # when each body that did not stay left its place, seconds by name, the first first
     displacement: dict[str, float]  # the greatest distance from where it began, metres by name
     rotation: dict[str, float]  # the greatest angle, radians by name
-    word: str = STANDS
-    first_moved: dict[str, float] = {}  # noqa: RUF012 - never changed
+
+    @property
+    def stable(self) -> bool:
+        """Whether it stands."""
+        return self.verdict == STANDS
+
+    @property
+    def fallen(self) -> tuple[str, ...]:
+        """Names of the bodies that did not stay, the first to move first."""
+        return tuple(self.first_moved)
 
 
 def judge(trajectory: Trajectory, matter: Matter | None = None) -> Verdict:
@@ -111,9 +119,7 @@ def judge(trajectory: Trajectory, matter: Matter | None = None) -> Verdict:
     if moved:
         same = matter is not None and trajectory.resting and _same_structure(trajectory, matter)
         word = SETTLES if same else FALLS
-    return Verdict(
-        not moved, tuple(moved), trajectory.greatest_displacement(), trajectory.greatest_rotation(), word, moved
-    )
+    return Verdict(word, moved, trajectory.greatest_displacement(), trajectory.greatest_rotation())
 
 
 def bearers(matter: Matter) -> dict[str, set[str]]:

@@ -5,7 +5,7 @@ import pytest
 from test_simulate import FLOOR, cube, matter
 
 from derender.physics.bodies import Body, bounce_damping, pair_frictions, restitution_of
-from derender.physics.intervention import Disturbance, Push
+from derender.physics.intervention import Intervention, Push
 from derender.physics.simulate import simulate
 from derender.scene.pose import translation
 
@@ -23,7 +23,7 @@ def test_the_push_that_slides_a_box_is_its_weight_times_friction(friction):
     scene = matter(FLOOR, cube("a", 0, 0.05, friction=friction), supports=[("a", "floor")])
     limit = friction * 0.5 * 9.81
     for share, slides in ((0.98, False), (1.02, True)):
-        pushed = Disturbance((Push("a", np.array([share * limit, 0, 0]), 0.0, 1.0),))
+        pushed = Intervention((Push("a", np.array([share * limit, 0, 0]), 0.0, 1.0),))
         assert bool(simulate(scene, 1.0, disturbance=pushed).poses[-1, 0, 0, 3] > 2e-3) is slides
 
 

@@ -9,7 +9,7 @@ from test_simulate import FLOOR, GRAVITY, cube, matter
 from derender.document import document_text, read_document
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, matter_of_graph
-from derender.physics.intervention import Disturbance, Push, intervention, read_add, read_push, read_shake, read_tilt
+from derender.physics.intervention import Intervention, Push, intervention, read_add, read_push, read_shake, read_tilt
 from derender.physics.outcome import assumptions, chance_of, outcomes, probability, simulate_scene, summary_of
 from derender.physics.simulate import judge, simulate
 from derender.physics.verdict import settled_graph
@@ -73,7 +73,7 @@ def test_a_body_that_comes_back_has_moved_all_the_same():
 
 def test_what_falls_first_is_named_first():
     scene = matter(FLOOR, cube("late", 0, 0.05), cube("early", 0.5, 0.3))
-    done = Disturbance((Push("late", np.array([30.0, 0, 0]), 0.5, 0.2),))
+    done = Intervention((Push("late", np.array([30.0, 0, 0]), 0.5, 0.2),))
     verdict = judge(simulate(scene, 1.5, disturbance=done))
     assert verdict.fallen == ("early", "late")
     assert verdict.first_moved["early"] < 0.15 and 0.5 < verdict.first_moved["late"] < 0.7

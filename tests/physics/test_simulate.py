@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from derender.physics.bodies import Body, Matter, matter_of_scene
-from derender.physics.intervention import Disturbance, Intervention, Push
+from derender.physics.intervention import Intervention, Push
 from derender.physics.mujoco_model import ROLLING, World
 from derender.physics.outcome import outcomes
 from derender.physics.simulate import judge, save_trajectory, simulate
@@ -42,7 +42,7 @@ def in_frame(scene, frame):
 @pytest.mark.parametrize("mass", [1e3, 1e4, 1e6])
 def test_a_light_thing_stays_on_a_heavy_one_that_a_push_does_not_move(mass):
     bodies = FLOOR, cube("low", 0, 0.05, mass=mass), cube("top", 0, 0.15, mass=0.5)
-    push = Disturbance((Push("low", np.array([0.5, 0.0, 0.0]), 0.0, 0.1),))
+    push = Intervention((Push("low", np.array([0.5, 0.0, 0.0]), 0.0, 0.1),))
     places = simulate(matter(*bodies), 2.0, disturbance=push).poses[:, 1, :3, 3]
     assert np.linalg.norm(places - places[0], axis=1).max() < 1e-4  # one of 1 kg below leaves 4e-6
 
@@ -162,7 +162,7 @@ def test_overlapping_neighbours_are_not_thrown_apart():
 def test_rest_is_calm_for_the_time_that_a_slow_start_takes():
     """A moment of it may be where something turns back. An idle disturbance keeps the engine from falling asleep."""
     scene = matter(FLOOR, cube("a", 0, 0.05), supports=[("a", "floor")])
-    trajectory = simulate(scene, 2.0, early=True, disturbance=Disturbance())
+    trajectory = simulate(scene, 2.0, early=True, disturbance=Intervention())
     needed = CALM_TIME * np.sqrt(0.1 / 9.81)
     assert needed <= trajectory.times[-1] < needed + 0.1
 
