@@ -30,6 +30,7 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.camera
 @options.depth_scale
 @options.renderer
+@click.option("--antialias", type=click.IntRange(1, 16), default=1, metavar="N", help="N x N samples.")
 @options.noise
 @click.option(
     "--sensor",
@@ -41,7 +42,7 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.seed
 @options.quiet
 @options.tells_idle(
-    Idle(("noise", "sensor", "depth_scale"), lambda given: given["preview"], "--preview draws no depth")
+    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth")
 )
 def command(
     scenes: tuple[str, ...],
@@ -49,6 +50,7 @@ def command(
     camera: str | None,
     depth_scale: float | None,
     renderer: str,
+    antialias: int,
     noise: bool,
     sensor: str | None,
     preview: bool,
@@ -80,7 +82,7 @@ def command(
         if preview:
             _write_picture(target, engine, graph, eye)
         else:
-            depth, label = engine.render_depth(graph.solids(), eye)
+            depth, label = engine.render_depth(graph.solids(), eye, antialias=antialias)
             if noise:
                 depth = observe(rng, depth, document.likelihood)
             if distort:

@@ -165,7 +165,7 @@ def test_a_folder_that_cannot_be_written_is_named(folder, capsys):
 @pytest.mark.parametrize(
     "words, told",
     [
-        ("render scene_a.yaml --preview --noise --depth-scale 2 -o picture.png", ["--noise", "--depth-scale"]),
+        ("render scene_a.yaml --preview --noise --antialias 2 -o picture.png", ["--noise", "--antialias"]),
         ("render scene_a.yaml --noise -o depth.npy", []),
         ("sample --no-images --no-noise", ["--no-noise"]),
         ("sample -o - --no-noise", ["--no-noise"]),

@@ -153,6 +153,20 @@ def test_nothing_and_what_is_behind_the_camera_give_the_background(name):
 
 
 @needs_opengl
+def test_antialiasing_is_the_mean_of_the_samples():
+    rng = np.random.default_rng(2)
+    solids, camera = random_scene(rng, 4), CAMERAS[0]
+    pyrender = find_renderer("pyrender")
+    mean, _ = pyrender.render_depth(solids, camera, antialias=3, background=5.0)
+    centre, label = pyrender.render_depth(solids, camera, background=5.0)
+    sure = away_from_silhouettes(label, centre) & np.isin(solids.kind[label], (PLANE, BOX)) & (label >= 0)
+    # On a plane the mean over a pixel differs from its centre by curvature alone: (pixel / z)^2, under 1 %.
+    assert np.abs(mean - centre)[sure & (centre < 3)].max() < 5e-3
+    edge = np.abs(mean - centre) > 0.05
+    assert edge.any() and not edge[sure & (centre < 3)].any()
+
+
+@needs_opengl
 def test_a_kept_scene_forgets_what_was_drawn_before():
     """Scenes of other lengths, kinds and image sizes in between leave no trace."""
     rng = np.random.default_rng(3)

@@ -102,14 +102,14 @@ def camera_array(camera: "Camera") -> np.ndarray:
 
 
 def render_depth(
-    solids: Solids, camera: "Camera", background: float = np.nan, antialias: int = 1
+    solids: Solids, camera: "Camera", antialias: int = 1, background: float = np.nan
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render the depth image of posed solids by casting a ray through every pixel centre.
 
     solids : Solids.
     camera : Camera (fx, fy, cx, cy, width, height; the centre of pixel (i, j) is at image coordinates (i, j)).
-    background : depth in metres where nothing is hit.
     antialias : n casts n x n rays a pixel on a regular grid and averages their depths.
+    background : depth in metres where nothing is hit.
 
     Returns
     -------

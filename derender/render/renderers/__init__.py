@@ -2,7 +2,7 @@
 
 A renderer is a module with
 
-    render_depth(solids, camera, background=nan) -> depth, label
+    render_depth(solids, camera, antialias=1, background=nan) -> depth, label
 
 depth is (height, width) float64 in metres, `background` where nothing is hit; label is (height, width) int32, the index
 into the solids or -1. Each is imported when it is first asked for.

@@ -116,19 +116,28 @@ SUBDIVISIONS = 5  # of the sphere's icosahedron: 20,480 triangles, sagitta 2e-4 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV's axes to OpenGL's
 
 
-def render_depth(solids: Solids, camera: Camera, background: float = np.nan) -> tuple[np.ndarray, np.ndarray]:
-    """Render depth and labels of one sample at each pixel's centre; the interface is the package's.
+def render_depth(
+    solids: Solids, camera: Camera, antialias: int = 1, background: float = np.nan
+) -> tuple[np.ndarray, np.ndarray]:
+    """Render depth and labels; the interface is the package's.
 
     Returns
     -------
     depth : (height, width) float64, metres along z; `background` where nothing is hit.
-    label : (height, width) int32, index into `solids` or -1.
+        With antialias n > 1 the mean over n x n samples a pixel.
+    label : (height, width) int32, index into `solids` or -1; always from the sample at the pixel's centre,
+        or next to it where antialias is even.
 
     Raises DerenderError : OpenGL does not work here; says what to install.
     """
-    depth, label = _shared_renderer(os.getpid()).draw(solids, camera)
+    sampled = camera.downscaled(1 / antialias)
+    depth, label = _shared_renderer(os.getpid()).draw(solids, sampled)
     depth[label < 0] = background
-    return depth, label
+    if antialias == 1:
+        return depth, label
+    blocks = depth.reshape(camera.height, antialias, camera.width, antialias)
+    middle = antialias // 2
+    return blocks.mean(axis=(1, 3)), label[middle::antialias, middle::antialias].copy()
 
 
 @functools.lru_cache(maxsize=1)

@@ -79,13 +79,15 @@ class ContactType:
         """Return the contact of these two features that is nearest to the (4, 4) pose of child in parent."""
         raise NotImplementedError
 
-    def default_choice(self, parent: Shape, child: Shape) -> tuple[str | None, str | None]:
+    def default_choice(self, parent: Shape, child: Shape, where: object = None) -> tuple[str | None, str | None]:
         """Return the pair of features meant where a file names none: on top of the parent, bottom of the child."""
         choices = self.choices(parent, child)
         if not choices:
-            others = [other for other in contacts if contacts[other].choices(parent, child)]
-            what = f"a {child.name} cannot be in {self.name} contact with a {parent.name}"
-            raise DerenderError(what, remedy=suggest(None, others or ["6dof"]))
+            raise DerenderError(
+                f"a {child.name} cannot be in {self.name} contact with a {parent.name}",
+                where,
+                suggest(None, [other for other in contacts if contacts[other].choices(parent, child)] or ["6dof"]),
+            )
         # sorted() is stable and True sorts last: the parent's +z first, then what has -z in its name.
         return min(choices, key=lambda pair: (pair[0] != "+z", "-z" not in str(pair[1])))
 
