@@ -23,10 +23,12 @@ CASES = {
     "log-normal": [(0.1, 0.6)],
     "log-uniform": [(0.02, 0.4)],
     "exponential": [(0.3,)],
+    "gamma": [(0.7, 2.0), (6.0, 0.1)],
     "beta": [(2.0, 5.0), (1.5, 1.2, -1.0, 3.0)],
     "von-mises": [(1.0, 0.0), (1.0, 3.0, math.pi / 2), (0.1, 400.0, math.pi)],
     "poisson": [(0.4,), (6.0,)],
     "geometric": [(0.3,)],
+    "uniform-integer": [(2, 5)],
     "uniform-rotation": [()],
 }
 SCALAR = [
@@ -175,6 +177,7 @@ def test_compiled_twins_equal_the_readable_ones():
     "name, parameters, support",
     [
         ("normal", (0, 1), (-math.inf, math.inf)),
+        ("gamma", (2, 1), (0.0, math.inf)),
         ("poisson", (3,), (0.0, math.inf)),
         ("beta", (2, 3, -1, 4), (-1.0, 4.0)),
         ("truncated-normal", (0, 1, -2, 1), (-2.0, 1.0)),
@@ -200,11 +203,13 @@ WRONG = [
     ("log-uniform", (0, 1)),
     ("log-normal", (0, 1)),
     ("beta", (0, 1)),
+    ("gamma", (1, 0)),
     ("exponential", (-1,)),
     ("truncated-normal", (0, 1, 40, 50)),
     ("von-mises", (0, -1)),
     ("poisson", (0,)),
     ("geometric", (1,)),
+    ("uniform-integer", (1.5, 3)),
 ]
 
 

@@ -163,7 +163,7 @@ def test_faults_are_one_helpful_line(old, new, says):
 
 GRAMMAR_FAULTS = [
     ("poisson: 2.5", "poisson: 1000000000", "mean 1e+09 is not in (0, 1e4]"),
-    ("poisson: 2.5", "normal: [1, 3]", "no distribution over how many"),
+    ("poisson: 2.5", "uniform-integer: [-1, 3]", "no distribution over how many"),
     ("floor: {poisson: 2.5}", "floor: 1000000000", "give at most 1000"),
     ("floor: {poisson", "flor: {poisson", "did you mean 'floor'?"),
     ("cube: {geometric: 0.2}", "cube: {geometric: 0.9}", "the grammar is not consistent"),

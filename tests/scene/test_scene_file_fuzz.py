@@ -23,7 +23,7 @@ NASTY = [
     "corner-on-face", "top",
     "+z", "-z", "+q", "uniform-rotation", "{uniform: [0, 1]}", "{uniform: [1, 0]}", "{normal: [0, 1]}", "{normal: 3}",
     "{poisson: 1.0e+9}", "{poisson: 3}", "{categorical: {floor: 1, green: 1}}", "{categorical: {1: 1}}",
-    "{beta: {a: 1}}",
+    "{gamma: {shape: 1}}",
     "{type: mesh, file: nowhere.ply}", "{type: cube}", "{type: sphere, radius: 0.1}", "20 deg", "3 mm",
     "5 apples", "\ud7ff",
     "[0, 0, 0]", "[0, 0, 0, 0]", "[1, 0, 0, 0]", "<<", "---", "# x", "é", "a: b: c", "- - -", "|", ">", "%YAML 9.9",

@@ -62,7 +62,7 @@ def box_with_sides():
     unknowns = [
         Unknown("a.contact.theta", distributions["uniform"](0.0, math.pi), math.pi),
         Unknown("a.length", distributions["uniform"](0.5, 2.0)),
-        Unknown("a.width", distributions["log-normal"](0.9, 0.5)),
+        Unknown("a.width", distributions["gamma"](4.0, 0.25)),
     ]
     blocks = [Block("a.contact", (0,)), Block("a.shape", (1, 2))]
 

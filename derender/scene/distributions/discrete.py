@@ -1,4 +1,4 @@
-"""Distributions over finitely many names or whole numbers: categorical ones; Poisson and geometric counts."""
+"""Distributions over finitely many names or whole numbers: categorical ones; uniform, Poisson and geometric counts."""
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -176,6 +176,37 @@ class Categorical:
 
     def __repr__(self) -> str:
         return "{categorical: {" + ", ".join(f"{c}: {p!r}" for c, p in self.probabilities.items()) + "}}"
+
+
+@distributions.register("uniform-integer")
+class UniformInteger(Distribution):
+    """lower, lower + 1, ..., upper."""
+
+    names = ("lower", "upper")
+    discrete = True
+
+    @staticmethod
+    def density(x: float, row: Any) -> float:
+        if x < row[0] or x > row[1] or x != math.floor(x):
+            return -math.inf
+        return -math.log(row[1] - row[0] + 1.0)
+
+    @staticmethod
+    def draw(rng: np.random.Generator, row: Any) -> int:
+        return int(row[0]) + int((row[1] - row[0] + 1.0) * rng.random())
+
+    def fault(self) -> str | None:
+        lower, upper = self.parameters
+        if lower != math.floor(lower) or upper != math.floor(upper):
+            return "lower and upper have to be whole numbers"
+        return None if lower <= upper <= lower + 1e6 else f"it is not true that {lower:g} <= upper <= lower + 1e6"
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.parameters[0], self.parameters[1]
+
+    def mean(self) -> float:
+        return 0.5 * (self.parameters[0] + self.parameters[1])
 
 
 @distributions.register("poisson")

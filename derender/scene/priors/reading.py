@@ -106,7 +106,9 @@ def read_count(node: Node) -> Any:
             return Categorical(weights)
     count = read_distribution(node)
     if not count.discrete or count.support[0] < 0:
-        raise node.fault(f"{name} is no distribution over how many", "use poisson, geometric or categorical")
+        raise node.fault(
+            f"{name} is no distribution over how many", "use poisson, geometric, uniform-integer, categorical"
+        )
     if count.mean() > 1000:
         raise node.fault(f"{count.mean():g} objects on average are too many", "stay below 1000")
     return count
