@@ -209,14 +209,14 @@ def check_request(options: Options, document: Document | None, prior: object, wa
         if options.frames:
             raise DerenderError("--together is for images without a scene", prior, "leave out --together or --scene")
         for key in FOR_BARE_IMAGES:
-            if getattr(options, key):
+            if asked[key] is not usual[key]:  # an array is neither true nor false
                 option = spelt(key)
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
         return
     if method == "smc":
         raise DerenderError("--method smc is for objects that are given", prior, "add --scene, or take --method mcmc")
     if options.frames:
-        for option, present in (("--known", options.known), ("--floor", options.floor),
+        for option, present in (("--known", options.known is not None), ("--floor", options.floor is not None),
                                 ("--method mcmc", method == "mcmc")):  # fmt: skip
             if present:
                 raise DerenderError(f"{option} is for one image", "--together", f"leave out {option} or --together")

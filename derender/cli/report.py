@@ -61,7 +61,7 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     first = found[0]
     posterior = first.posterior
     if len(found) > 1:
-        from derender.results.merge_runs import merge_runs
+        from derender.results.posterior import merge_runs
 
         posteriors = []
         for name, each in zip(folders, found, strict=True):

@@ -5,17 +5,17 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
-from typing import NamedTuple, TypedDict, Unpack
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
 from derender.document import Document, read_document, read_prior_document
-from derender.interface.posterior import Posterior
+from derender.interface.posterior import MOST_DRAWS, Posterior
 from derender.interface.scene import HEIGHT, WIDTH, Scene
 from derender.physics.intervention import intervention
-from derender.physics.outcome import Chance, Outcome, probability, simulate_scene
+from derender.physics.outcome import Chance, probability, simulate_scene
 from derender.registry import only_its_keywords
 from derender.results import posterior as kept
 from derender.scene.graph import SceneGraph
@@ -192,9 +192,6 @@ def _scene_of(document: Document) -> Scene:
     return Scene(document.graph, document.camera, document.likelihood)
 
 
-MOST_DRAWS = 100_000  # simulated where an error is asked for
-
-
 class Acts(TypedDict, total=False):
     """Interventions, as texts that `derender simulate --help` explains, directions in the root's axes.
 
@@ -290,7 +287,11 @@ def simulate(
     chance = Chance(float(best.stable), 0.0, 1)
     if draws and (posterior is not None or jitter):
         run = How(engine=engine, duration=duration, jobs=jobs, **acts)
-        chance = chance_that("stands", posterior or found, draws, until, seed, **run)
+        if posterior is not None:
+            chance = posterior.probability("stands", draws=draws, until=until, seed=seed, **run)
+        else:
+            graphs = repeat(found.graph, draws if until is None else MOST_DRAWS)
+            chance = probability(graphs, "stands", until=until, seed=seed, **run)
     path = best.trajectory
     names = tuple(best.displacement) if path is None else path.names
     return Simulation(
@@ -298,19 +299,3 @@ def simulate(
         best.margin, np.zeros(0) if path is None else path.times,
         np.zeros((0, len(names), 4, 4)) if path is None else path.poses, names,
     )  # fmt: skip
-
-
-def chance_that(
-    event: Callable[[Outcome], bool] | str,
-    of: Posterior | Scene,
-    draws: int = 200,
-    until: float | None = None,
-    seed: int = 0,
-    **how: Unpack[How],
-) -> Chance:
-    """Return how probable an event is, of a scene with jitter or of a posterior; see `Posterior.probability`."""
-    count = draws if until is None else MOST_DRAWS
-    rng = np.random.default_rng(seed)
-    graphs = of.each_graph(rng, count) if isinstance(of, Posterior) else repeat(of.graph, count)
-    missed = of.missed if isinstance(of, Posterior) else 0.0
-    return probability(graphs, event, until=until, seed=seed, missed=missed, **how)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from derender.interface.functions import How
     from derender.physics.outcome import Chance, Outcome
 
+MOST_DRAWS = 100_000  # simulated where an error is asked for
 MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's page
 
 
@@ -218,9 +219,10 @@ class Posterior(kept.Posterior):
         how : engine, duration and jobs, and what is done to the scene: push, remove, add, tilt, shake, jitter; see
             `derender.simulate`.
         """
-        from derender.interface.functions import chance_that
+        from derender.physics.outcome import probability
 
-        return chance_that(event, self, draws, until, seed, **how)
+        graphs = self.each_graph(np.random.default_rng(seed), draws if until is None else MOST_DRAWS)
+        return probability(graphs, event, until=until, seed=seed, missed=self.missed, **how)
 
     def to_arviz(self) -> Any:
         """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.

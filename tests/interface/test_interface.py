@@ -207,6 +207,11 @@ def test_the_same_seed_is_the_same_posterior_as_on_the_command_line(image, tmp_p
     np.testing.assert_allclose(loaded.image.depth, image.depth, atol=1e-6)
 
 
+def test_a_floor_as_an_array_beside_a_scene_is_refused_in_a_line(image):
+    with pytest.raises(DerenderError, match="--floor is for images without a scene"):
+        derender.infer(image, prior="stack", floor=np.array([0.0, 1.0, 0.0, -0.5]))
+
+
 def test_objects_and_structures(posterior):
     assert sum(structure.probability for structure in posterior.structures) == pytest.approx(1.0)
     assert posterior.structures[0].probability == max(structure.probability for structure in posterior.structures)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from derender.errors import DerenderError
-from derender.results.merge_runs import merge_runs
-from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.posterior import Posterior, StructurePosterior, merge_runs
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_z, translation
