@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.dynamics.states import from_poses, turned_by
+from derender.dynamics.states import difference, from_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
 
@@ -128,5 +128,5 @@ def _moved(poses: np.ndarray, covariances: np.ndarray, seen: np.ndarray) -> bool
     states = from_poses(poses[seen])
     shift = np.linalg.norm(states[:, :3] - states[0, :3], axis=1)
     error = np.sqrt(np.trace(covariances[seen][:, :3, :3], axis1=1, axis2=2))
-    turn = np.linalg.norm(turned_by(states[:1, 3:7], states[:, 3:7]), axis=1)
+    turn = np.linalg.norm(difference(states[:1], states)[:, 3:6], axis=1)
     return bool(np.any(shift > np.maximum(MOVED_METRES, MOVED_ERRORS * error)) or np.any(turn > MOVED_RADIANS))

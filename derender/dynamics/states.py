@@ -8,57 +8,36 @@ would act only now and then: so what is seen to lie on a plane begins flush with
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from derender.physics.bodies import Body
-from derender.scene.pose import from_quaternion, inverse, quaternion
+from derender.scene.pose import inverse
 
 STATE, CHANGE = 13, 12
 
 
-def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the quaternion product of two arrays (..., 4), wxyz."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+def rotations(states: np.ndarray) -> Rotation:
+    """Return the rotations of states (..., 13) in a row."""
+    return Rotation.from_quat(np.roll(states[..., 3:7], -1, axis=-1).reshape(-1, 4))
 
 
-def exponential(vector: np.ndarray) -> np.ndarray:
-    """Return the quaternions (..., 4) of rotation vectors (..., 3)."""
-    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * np.pi)) * vector], axis=-1)
-
-
-def turned_by(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the rotation vectors (..., 3) in the first body's axes from quaternions `first` to `second` (..., 4)."""
-    conjugate = first * np.array([1.0, -1.0, -1.0, -1.0])
-    change = product(conjugate, second)
-    change = np.where(change[..., :1] < 0, -change, change)
-    sine = np.linalg.norm(change[..., 1:], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(sine, change[..., :1])
-    return np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0) * change[..., 1:]
+def written(turns: Rotation, states: np.ndarray) -> np.ndarray:
+    """Write rotations in a row into states (..., 13), and return these."""
+    states[..., 3:7] = np.roll(turns.as_quat(), 1, axis=-1).reshape(*states.shape[:-1], 4)
+    return states
 
 
 def moved(states: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Return the states (..., 13) after changes (..., 12)."""
     result = states.copy()
     result[..., :3] += changes[..., :3]
-    quaternions = product(states[..., 3:7], exponential(changes[..., 3:6]))
-    result[..., 3:7] = quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
     result[..., 7:] += changes[..., 6:]
-    return result
+    return written(rotations(states) * Rotation.from_rotvec(changes[..., 3:6].reshape(-1, 3)), result)
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the changes (..., 12) that lead from states `first` to `second` (..., 13)."""
-    turn = turned_by(first[..., 3:7], second[..., 3:7])
+    turn = (rotations(first).inv() * rotations(second)).as_rotvec().reshape(*second.shape[:-1], 3)
     return np.concatenate([second[..., :3] - first[..., :3], turn, second[..., 7:] - first[..., 7:]], axis=-1)
 
 
@@ -66,16 +45,14 @@ def from_poses(poses: np.ndarray) -> np.ndarray:
     """Return states (..., 13) at rest at poses (..., 4, 4)."""
     states = np.zeros((*poses.shape[:-2], STATE))
     states[..., :3] = poses[..., :3, 3]
-    for index in np.ndindex(poses.shape[:-2]):
-        states[(*index, slice(3, 7))] = quaternion(poses[index])
-    return states
+    return written(Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3)), states)
 
 
 def to_poses(states: np.ndarray) -> np.ndarray:
     """Return the poses (..., 4, 4) of states (..., 13)."""
-    poses = np.empty((*states.shape[:-1], 4, 4))
-    for index in np.ndindex(states.shape[:-1]):
-        poses[index] = from_quaternion(states[index][3:7], states[index][:3])
+    poses = np.tile(np.eye(4), (*states.shape[:-1], 1, 1))
+    poses[..., :3, 3] = states[..., :3]
+    poses[..., :3, :3] = rotations(states).as_matrix().reshape(*states.shape[:-1], 3, 3)
     return poses
 
 
@@ -101,8 +78,7 @@ def flush(body: Body, plane: np.ndarray, state: np.ndarray) -> tuple[np.ndarray,
     cross = np.cross(wanted, along)  # turns the face's normal to the plane's, in the body's axes
     angle = float(np.arctan2(np.linalg.norm(cross), along @ wanted))
     turn = cross * (angle / max(float(np.linalg.norm(cross)), 1e-12))
-    result = state.copy()
-    result[3:7] = product(state[3:7], exponential(turn))
+    result = moved(state, np.concatenate([np.zeros(3), turn, np.zeros(6)]))
     height = float((inverse(plane) @ pose)[2, 3])
     off = height - body.size[axis] / 2
     result[:3] -= off * normal
