@@ -112,10 +112,6 @@ class Intervention(NamedTuple):
                 found[push.body] = found.get(push.body, np.zeros(3)) + push.force
         return found
 
-    def edges(self) -> list[float]:
-        """Return the times at which a push begins or ends."""
-        return sorted({time for push in self.pushes for time in (push.start, push.start + push.duration)})
-
 
 def read_push(text: str) -> Push:
     """Read NAME:DIRECTION:FORCE@TIME, such as red:+x:0.5N@0.1s."""

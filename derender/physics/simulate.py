@@ -3,6 +3,8 @@
 The same bodies again and again with other numbers, as inference asks, are `derender.dynamics.engine`'s.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from derender.physics.bodies import Matter
@@ -90,17 +92,14 @@ def _run(
 
 
 def advance(world: World, done: Intervention, gravity: np.ndarray, first: int, last: int) -> None:
-    """Step a world from step number `first` to `last` under what is done to it."""
-    if done.shake is not None:
-        for step in range(first, last):
-            world.set_gravity(gravity - done.shake.acceleration((step + 0.5) * world.timestep))
-            world.set_forces(done.forces(step * world.timestep))
-            world.step()
-        return
-    edges = [round(time / world.timestep) for time in done.edges()]
-    for start, end in zip([first, *[e for e in edges if first < e < last]],
-                          [*[e for e in edges if first < e < last], last], strict=True):  # fmt: skip
-        if edges:
-            world.set_forces(done.forces((start + 0.5) * world.timestep))
-        if end > start:
-            world.step(end - start)
+    """Step a world from step number `first` to `last` under what is done to it, which changes between those steps only
+    where a push begins or ends; while the floor shakes, at each of them."""
+    ends = {round(time / world.timestep) for push in done.pushes for time in (push.start, push.start + push.duration)}
+    edges = range(first, last) if done.shake else [first, *sorted(e for e in ends if first < e < last)]
+    for start, end in pairwise([*edges, last]):
+        middle = (start + 0.5) * world.timestep
+        if done.shake:
+            world.set_gravity(gravity - done.shake.acceleration(middle))
+        if done.pushes:
+            world.set_forces(done.forces(middle))
+        world.step(end - start)
