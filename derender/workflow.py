@@ -111,18 +111,24 @@ def ask(
     warn: Say = silent,
 ) -> Request:
     """Read all files that an inference needs and return the Request; the arguments are those of `infer_to_folder`."""
-    document = read_prior_document(prior) if prior is not None else None
+    document, options = asked_of_any(options, prior, warn)
     seen = look_at(reading.read(image, None if document is None else document.camera), document, image, warn)
-    check_request(options, document, prior, warn)
-    if isinstance(options.known, str | Path):
-        from derender.structures.known.library import read_library
-
-        options = replace(options, known=read_library(options.known))
     made: dict[str, Any] = {"seed": options.seed, "command": command}
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     where = prior if names_objects(document) else image
     return Request(str(image), seen, document, where, options, made, Path(os.path.realpath(folder)))
+
+
+def asked_of_any(options: Options, prior: str | None, warn: Say = silent) -> tuple[Document | None, Options]:
+    """Read what is asked of any image, whichever it is: the prior's document and the options, their library read."""
+    document = read_prior_document(prior) if prior is not None else None
+    check_request(options, document, prior, warn)
+    if isinstance(options.known, str | Path):
+        from derender.structures.known.library import read_library
+
+        options = replace(options, known=read_library(options.known))
+    return document, options
 
 
 def read_frames(images: Sequence[str], poses: str | None, reading: Reading) -> tuple[Frame, ...]:

@@ -174,7 +174,9 @@ def recognise(data: bytes, path: str | Path) -> tuple[Callable[[bytes], Decoded]
     for magic, name in ((b"\xff\xd8", "JPEG"), (b"BM", "BMP"), (b"GIF8", "GIF"), (b"P5", "PGM"), (b"P6", "PPM")):
         if data.startswith(magic):
             raise DerenderError(f"a {name} is not a depth image", path, "give " + " ".join(SUFFIXES))
-    raise DerenderError("not a depth image that derender knows", path, "give " + " ".join(SUFFIXES))
+    text = Path(path).suffix.lower() in (".yaml", ".yml", ".json")
+    remedy = "--scene or --camera takes such a file" if text else "give " + " ".join(SUFFIXES)
+    raise DerenderError("not a depth image that derender knows", path, remedy)
 
 
 def encode_npy(array: np.ndarray) -> bytes:

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from derender.batch.frames import Done, Frame, Order, failure, infer_frame, is_done
 from derender.batch.run import Processes, infer_frames
 from derender.cli import group
+from derender.errors import DerenderError
 from derender.structures.options import Options
 
 
@@ -146,6 +147,13 @@ def test_a_frame_that_dies_with_a_stopped_run_is_told_by_nobody(tmp_path):
     tally = infer_frames([str(tmp_path / "a.npy")], tmp_path / "out", Order(), lambda order, output: Stopped())
     assert tally.interrupted and tally.failed == 0
     assert (tmp_path / "out" / "results.jsonl").read_text() == ""
+
+
+@pytest.mark.parametrize("option", [("--known", "no.yaml"), ("--scene", "no.yaml"), ("--shapes", "ball")])
+def test_a_fault_in_what_is_asked_of_all_is_told_once_and_leaves_nothing(frames, option):
+    done = CliRunner().invoke(group, ["infer", str(frames / "frames"), "-o", str(frames / "none"), *option])
+    assert isinstance(done.exception, DerenderError) and option[1] in str(done.exception)
+    assert not (frames / "none").exists()
 
 
 def test_tables_that_take_long_are_written_seldom_and_nobody_waits_for_them(tmp_path, monkeypatch):
