@@ -87,8 +87,9 @@ def report_of(
             told = posterior.explanation.depth
         meta = {} if posterior is None else posterior.meta
         fit = fit_of(graph, camera, observed, likelihood or {}, told, meta.get("noise", 0.0))
-        spots, real = meta.get("spots", ()), meta.get("faces", 0.0) > 0.0
-        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots, real))
+        given = meta.get("faces", 0.0) > 0.0 and not meta.get("camera_guessed")
+        spots = meta.get("spots", ())
+        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots, given))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)

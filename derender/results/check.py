@@ -107,7 +107,7 @@ def check_fit(
     observed: np.ndarray,
     likelihood: Mapping[str, Any],
     spots: Sequence[Sequence[float]] = (),
-    real: bool = False,
+    given: bool = False,
 ) -> tuple[Doubt, ...]:
     """Return the doubts that an image raises about what was found in it, the serious ones first.
 
@@ -115,7 +115,7 @@ def check_fit(
     observed : (H, W) metres, NaN where nothing returned.
     likelihood : numbers of the likelihood that was fitted, by name.
     spots : where the scene explains less than noise leaves: first and last row and column, as shares of the image.
-    real : whether a real sensor took it, going by its noise.
+    given : whether a real sensor took it, going by its noise, and a person said with which focal length.
     """
     valid = np.isfinite(observed)
     if not valid.any():
@@ -127,7 +127,7 @@ def check_fit(
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
-        *wrong_focal_length(faces_of(graph, fit, camera, observed), camera, real),
+        *wrong_focal_length(faces_of(graph, fit, camera, observed), camera, given),
         *unborne_solids(graph, fit, valid),
         *nothing_but_a_plane(graph, fit, camera, observed),
     ]
@@ -318,12 +318,12 @@ class Face(NamedTuple):
     covariance: np.ndarray
 
 
-def wrong_focal_length(faces: list[Face], camera: Camera, real: bool = False) -> list[Doubt]:
+def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -> list[Doubt]:
     """Return a doubt where with another focal length far more of the angles between Faces are right ones; worth
-    knowing, of a real sensor's image, where no box is seen that could tell."""
+    knowing, of one that was given, where no box is seen that could tell."""
     if len(faces) < 2:
         words = "no box is seen that tells whether the camera's focal length is right: lengths are only as right as it"
-        return [Doubt(words, False)] if real else []
+        return [Doubt(words, False)] if given else []
     focal = np.sqrt(camera.fx * camera.fy)
     stretch = np.array([camera.fx / focal, camera.fy / focal, 1.0])  # of pixels that are not square
     faces = [face._replace(plane=face.plane * stretch, covariance=face.covariance * np.outer(stretch, stretch))

@@ -71,6 +71,12 @@ def test_what_is_inferred_with_a_wrong_focal_length_is_not_trusted(wrong):
     assert not posterior.trusted and any("focal length" in words for words in posterior.doubts)
 
 
+def test_that_no_box_tells_the_focal_length_is_worth_knowing_where_it_was_given():
+    (note,) = wrong_focal_length([], CAMERA, given=True)
+    assert not note.serious and "no box is seen" in note.words
+    assert wrong_focal_length([], CAMERA) == []
+
+
 def test_where_neither_floor_nor_box_shows_there_are_no_faces():
     graph, observed = seen((30,))
     nothing = fit_of(graph, CAMERA, observed, {})._replace(explained=np.zeros(observed.shape, bool),
