@@ -129,9 +129,10 @@ def solids(scene):
 
 def matches_of(predicted, truth):
     """Return the true solid that each predicted one is, by name."""
-    from derender.evaluation.metrics import match_solids
+    from derender.evaluation.metrics import assign, iou_matrix, solids_of
 
-    return match_solids(predicted, truth, 0.25)
+    left, right = solids_of(predicted), solids_of(truth)
+    return {left[i]["name"]: right[j]["name"] for i, j in assign(iou_matrix(left, right), 0.25)}
 
 
 def pose_and_size(graph, name):

@@ -263,9 +263,8 @@ def command(talk: Talk, **arguments: Any) -> int | None:
             raise click.UsageError("--together takes images that are there: leave out --watch and --scheduler")
         from derender.batch.frames import find_frames
 
-        first, *others = (
-            frame.path for frame in find_frames(images, arguments["output"] or "inferred", warn=talk.warn)
-        )
+        found = find_frames(images, arguments["output"] or "inferred", warn=talk.warn)
+        first, *others = (frame.path for frame in found)
         return _one(talk, first, arguments, others, poses)
     if watch or scheduler or _several(images):
         return _many(talk, images, watch, scheduler, arguments)

@@ -60,12 +60,6 @@ def assign(overlap: np.ndarray, threshold: float) -> list[tuple[int, int]]:
     ]
 
 
-def match_solids(predicted: Mapping[str, Any], truth: Mapping[str, Any], threshold: float = 0.5) -> dict[str, str]:
-    """Return which true solid each predicted solid is: names to names, one to one, IoU at least `threshold`."""
-    left, right = solids_of(predicted), solids_of(truth)
-    return {left[i]["name"]: right[j]["name"] for i, j in assign(iou_matrix(left, right), threshold)}
-
-
 def match_planes(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, str]:
     """Return which true plane each predicted plane is.
 

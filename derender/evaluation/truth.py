@@ -38,10 +38,6 @@ def bop_scene(
     objects, count = [], {}
     for entry in tree[frame]:
         number = str(entry["obj_id"])
-        rotation = numbers_of(entry["cam_R_m2c"], (9,))
-        position = numbers_of(entry["cam_t_m2c"], (3,))
-        if rotation is None or position is None:
-            raise DerenderError(f"object {number} has no pose", path)
         if number not in information:
             raise DerenderError(f"no model {number} in models_info.json", path, "give the right one with --models")
         model = information[number]
@@ -49,8 +45,8 @@ def bop_scene(
         size = np.array([model[f"size_{axis}"] for axis in "xyz"], float) * MILLIMETRE
         middle = low + 0.5 * size
         pose = np.eye(4)
-        pose[:3, :3] = rotation.reshape(3, 3)
-        pose[:3, 3] = position * MILLIMETRE + pose[:3, :3] @ middle
+        pose[:3, :3] = np.reshape(entry["cam_R_m2c"], (3, 3))
+        pose[:3, 3] = np.array(entry["cam_t_m2c"]) * MILLIMETRE + pose[:3, :3] @ middle
         count[number] = count.get(number, 0) + 1
         name = f"object_{number}" + (f"_{count[number]}" if count[number] > 1 else "")
         item = {"name": name, "type": "mesh", "size": size.tolist(), "pose": pose.tolist()}
@@ -108,15 +104,11 @@ def read_models_info(path: str | Path, models: str | Path | None = None) -> tupl
         candidates = [folder / name for folder in folders for name in names]
     for candidate in candidates:
         if candidate.is_file():
-            return parse_json(candidate.read_bytes(), candidate), candidate.parent
+            found = parse_json(candidate.read_bytes(), candidate)
+            if wrong := misfit(found, {str: MODEL}, "models_info"):
+                raise DerenderError(f"{wrong} is not as BOP has it", candidate, "export it anew")
+            return found, candidate.parent
     raise DerenderError("sizes of the models are needed: no models_info.json", path, "give it with --models")
-
-
-def is_bop_frame(value: object) -> bool:
-    """Return whether this is what scene_gt.json holds for a frame."""
-    return isinstance(value, list) and all(
-        isinstance(entry, Mapping) and {"cam_R_m2c", "cam_t_m2c", "obj_id"} <= set(entry) for entry in value
-    )
 
 
 def numbers_of(value: object, shape: tuple[int, ...]) -> np.ndarray | None:
@@ -141,11 +133,15 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
         if frame is not None or models is not None:
             raise DerenderError("this is not BOP's scene_gt.json", path, "leave out --frame and --models")
         return checked_scene(tree, path)
-    if isinstance(tree, Mapping) and tree and all(is_bop_frame(value) for value in tree.values()):
+    if tree and not misfit(tree, BOP):
         return bop_scene(tree, path, frame, models)
     raise DerenderError("neither a scene of `derender show --json` nor a scene_gt.json of BOP", path)
 
 
+# What scene_gt.json holds for its frames, and models_info.json for a model.
+BOP = {str: [{"cam_R_m2c": (float,) * 9, "cam_t_m2c": (float,) * 3, "obj_id": object}]}
+MODEL = {f"{part}_{axis}": float for part in ("min", "size") for axis in "xyz"} | {
+    "symmetries_discrete?": list, "symmetries_continuous?": list}  # fmt: skip
 SIZE = {(float, float, float), None}
 # What a comparison needs of a scene, as `misfit` takes it.
 SCENE = {"gravity?": object, "objects": [{

@@ -53,6 +53,15 @@ def test_bop_frame(tmp_path):
         read_json_scene(path, frame="3", models=tmp_path / "nowhere.json")
 
 
+@pytest.mark.parametrize("change", [{"min_x": None}, {"size_z": "x"}, {"symmetries_discrete": 5}])
+def test_models_that_are_none_are_told(tmp_path, change):
+    path = write_bop(tmp_path)
+    place = tmp_path / "models" / "models_info.json"
+    place.write_text(json.dumps({"5": json.loads(place.read_text())["5"] | change}))
+    with pytest.raises(DerenderError, match=f"models_info.5.{next(iter(change))} is not as BOP has it"):
+        read_json_scene(path, frame="3")
+
+
 def test_bop_models_and_symmetries(tmp_path):
     """Beside models_info.json lies the model, a wedge; and the former says what turns leave it as it is."""
     path = write_bop(tmp_path)
