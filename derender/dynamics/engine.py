@@ -109,10 +109,7 @@ class Engine:
             if masses != self._masses:
                 world.set_masses(dict(zip(self._names, masses, strict=True)))
             if rest != self._rest:
-                friction, elasticity = (
-                    dict.fromkeys([body.name for body in self._bodies], value) for value in rest[:2]
-                )
-                world.set_materials(friction, elasticity, material.contact_time)
+                world.set_materials(*rest)
         self._masses, self._rest = masses, rest
 
     def advance(self, states: np.ndarray) -> np.ndarray:

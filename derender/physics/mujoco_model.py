@@ -207,14 +207,10 @@ class World:
         mujoco.mj_setConst(self.model, self.data)
         self._set_impedance()
 
-    def set_materials(
-        self, friction: Mapping[str, float | None], elasticity: Mapping[str, float], contact_time: float | None = None
-    ) -> None:
-        """Set the friction and elasticity of some bodies, and seconds that bounces take (None: some 20 steps)."""
-        if contact_time is not None:
-            self._bouncing = min(np.pi * self.timestep / contact_time, STIFFNESS)
-        self._rough = [friction.get(name, value) for name, value in zip(self.names, self._rough, strict=True)]
-        self._bouncy = [elasticity.get(name, value) for name, value in zip(self.names, self._bouncy, strict=True)]
+    def set_materials(self, friction: float, elasticity: float, contact_time: float) -> None:
+        """Set the friction and elasticity of all bodies, and the seconds that bounces take."""
+        self._bouncing = min(np.pi * self.timestep / contact_time, STIFFNESS)
+        self._rough, self._bouncy = [friction] * len(self.names), [elasticity] * len(self.names)
         self._set_materials()
 
     def to_xml(self, name: str) -> str:

@@ -7,6 +7,7 @@ the sum of its costs, under one noise for all.
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,35 +20,23 @@ from derender.tracking.track import Recorder, Track
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
 
-UNEXPLAINED = (
-    5.0,
-    0.02,
-)  # standard deviations, and share, above the least cost of a frame from which it is not explained
+UNEXPLAINED = 5.0, 0.02  # standard deviations, and share, above the least cost of a frame: it is not explained
 MOST_UNEXPLAINED = 1  # frames; noise and dropouts make so many
 BETTER = 50.0  # nats by which another pass must be better in sum
 
 
+@dataclass
 class Passes:
-    """Passes over a whole film.
+    """Passes over a whole film."""
 
-    frames : sequence of (H, W). camera : Camera. gravity : (3,) or None. step : seconds. moving_camera : bool.
-    begin : (depth) -> Start, what one frame shows. look : (depth) -> Posterior, of the best scene only, for what
-    comes in later, or None. progress : called after each frame with the share done, or None.
-    """
-
-    def __init__(
-        self,
-        frames: Any,
-        camera: "Camera",
-        gravity: np.ndarray | None,
-        step: float,
-        begin: Callable[..., Any],
-        look: Any = None,
-        moving_camera: bool = False,
-        progress: Any = None,
-    ) -> None:
-        self.frames, self.camera, self.gravity, self.step = frames, camera, gravity, step
-        self.begin, self.look, self.moving_camera, self.progress = begin, look, moving_camera, progress
+    frames: Any  # sequence of (H, W)
+    camera: "Camera"
+    gravity: np.ndarray | None  # (3,)
+    step: float  # seconds
+    begin: Callable[..., Start]  # (depth) -> what one frame shows
+    look: Any = None  # (depth) -> Posterior, of the best scene only, for what comes in later; or None
+    moving_camera: bool = False
+    progress: Any = None  # called after each frame with the share done, or None
 
     def best(self) -> "Pass":
         """Return the best pass, beginning with one from the first frame."""
@@ -92,9 +81,8 @@ class Passes:
         for frames in (self.frames[anchor:], self.frames[anchor::-1] if anchor else []):
             if not len(frames):
                 continue
-            recorder = Recorder(
-                frames[0], self.camera, start.copy(), self.gravity, self.step, self.moving_camera, self.look
-            )
+            recorder = Recorder(frames[0], self.camera, start.copy(), self.gravity, self.step,
+                                self.moving_camera, self.look)  # fmt: skip
             for n, frame in enumerate(frames[1:]):
                 if not recorder.advance(frame):
                     break
@@ -147,6 +135,4 @@ class Pass:
 
     def track(self, times: np.ndarray, names: list[str]) -> Track:
         """Return the track of the film."""
-        if self.backward is None:
-            return self.forward.track(times, names)
         return self.forward.track(times, names, self.backward)
