@@ -29,9 +29,14 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 )
 @options.camera
 @options.depth_scale
-@options.renderer
+@click.option(
+    "--renderer",
+    default="raycast",
+    metavar="NAME",
+    help="raycast (compiled, needs no OpenGL) or pyrender (OpenGL through OSMesa or EGL).",
+)
 @click.option("--antialias", type=click.IntRange(1, 16), default=1, metavar="N", help="N x N samples.")
-@options.noise
+@click.option("--noise/--no-noise", default=False, help="Draw from the likelihood (Eq. 6).")
 @click.option(
     "--sensor",
     metavar="NAME|DIR",
