@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -163,16 +164,11 @@ def first_sensor(
     clean = model_depth(chart, values, camera, into)
     held = NONE if shares_noise(prior) else held_by(prior)
     fitted = partial(robust_fit, observed, clean, outliers=FIRST_OUTLIERS, held=held)
-    best = max((fitted(blurred) for blurred in BLURS), key=density_of)
+    best = max((fitted(blurred) for blurred in BLURS), key=itemgetter(0))
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
         return sensor
     return under_shared_noise(sensor, clean, ROUNDS)
-
-
-def density_of(fit: tuple[float, str, dict[str, float]]) -> float:
-    """Return the log density of a fit."""
-    return fit[0]
 
 
 def shares_noise(prior: LikelihoodPrior | None) -> bool:
@@ -289,20 +285,20 @@ def best_fit(
     """
     held = held_by(prior)
     fitted = partial(robust_fit, observed, clean, every=every, held=held)
-    best = max((fitted(blurred, rates[0]) for blurred in blurs), key=density_of)
+    best = max((fitted(blurred, rates[0]) for blurred in blurs), key=itemgetter(0))
     for step in steps:
         at = best[2]["blur"]
         if at > 0.0:
             trials = [fitted(max(at + way * step, 0.0), rates[0]) for way in (-1, 1)]
-            best = max([best, *trials], key=density_of)
+            best = max([best, *trials], key=itemgetter(0))
     at = best[2]["blur"]
-    robust = max([best, *(fitted(at, rate) for rate in rates[1:])], key=density_of)
+    robust = max([best, *(fitted(at, rate) for rate in rates[1:])], key=itemgetter(0))
     if (observed < 0.0).any():  # only the robust likelihood knows of what is no part of the scene
         return robust
     plain = gaussian_fit(observed, clean, at, every, held)
     if prior is not None and prior.type == "gaussian":
         return plain
-    return plain if density_of(plain) > density_of(robust) and not held.keys() & ROBUST else robust
+    return plain if plain[0] > robust[0] and not held.keys() & ROBUST else robust
 
 
 def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
@@ -341,7 +337,7 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
     rate = sensor.values.get("outlier", RATES[0])
     at = better_blur(sensor.values["blur"], lambda blurred: fitted(blurred, rate)[0])
     rates = () if sensor.likelihood.name == "gaussian" else RATES
-    best = max((fitted(at, each) for each in dict.fromkeys((rate, *rates))), key=density_of)
+    best = max((fitted(at, each) for each in dict.fromkeys((rate, *rates))), key=itemgetter(0))
     return sensor.changed(best[1], **best[2])
 
 
