@@ -197,6 +197,13 @@ depth_scale = click.option(
     metavar="MM",
     help="Millimetres for one unit of a 16-bit image; overrides the camera's. Default 1.",
 )
+renderer = click.option(
+    "--renderer",
+    default="raycast",
+    metavar="NAME",
+    help="raycast (compiled, needs no OpenGL) or pyrender (OpenGL through OSMesa or EGL).",
+)
+noise = click.option("--noise/--no-noise", default=False, help="Draw from the likelihood (Eq. 6).")
 strict = click.option("--strict", is_flag=True, help="Exit with status 3 where the result is not to be trusted.")
 
 

@@ -29,14 +29,9 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 )
 @options.camera
 @options.depth_scale
-@click.option(
-    "--renderer",
-    default="raycast",
-    metavar="NAME",
-    help="raycast (compiled, needs no OpenGL) or pyrender (OpenGL through OSMesa or EGL).",
-)
+@options.renderer
 @click.option("--antialias", type=click.IntRange(1, 16), default=1, metavar="N", help="N x N samples.")
-@click.option("--noise/--no-noise", default=False, help="Draw from the likelihood (Eq. 6).")
+@options.noise
 @click.option(
     "--sensor",
     metavar="NAME|DIR",

@@ -18,14 +18,23 @@ from derender.errors import Idle
 @click.option("--images/--no-images", default=True, help="Write a depth image for each scene.")
 @click.option("--noise/--no-noise", default=True, help="Draw the image from the likelihood (Eq. 6), or clean.")
 @options.camera
+@options.renderer
 @options.seed
 @options.verbosity
 @options.tells_idle(
-    Idle(("noise", "images"), lambda given: given["output"] == "-", "-o - streams scenes without images"),
-    Idle(("noise",), lambda given: not given["images"], "--no-images draws none"),
+    Idle(("noise", "renderer", "images"), lambda given: given["output"] == "-", "-o - streams scenes without images"),
+    Idle(("noise", "renderer"), lambda given: not given["images"], "--no-images draws none"),
 )
 def command(
-    prior: str, count: int, output: str, images: bool, noise: bool, camera: str | None, seed: int, talk: Talk
+    prior: str,
+    count: int,
+    output: str,
+    images: bool,
+    noise: bool,
+    camera: str | None,
+    renderer: str,
+    seed: int,
+    talk: Talk,
 ) -> None:
     """Draw scenes from PRIOR: a prior file, or the name of a built-in one.
 
@@ -43,6 +52,7 @@ def command(
     from derender.camera.camera_file import read_camera
     from derender.document import prior_as_seen_from, read_prior_document
     from derender.posterior.forward import draw_documents
+    from derender.render.renderers import find_renderer
 
     document = read_prior_document(prior)
     made = {"seed": seed, "command": f"derender sample {prior} --seed {seed}" + ("" if noise else " --no-noise")}
@@ -53,14 +63,15 @@ def command(
         for number, draw in enumerate(draws):
             click.echo(("---\n" if number else "") + draw.text(), nl=False)
         return
+    engine = find_renderer(renderer) if images else None
     given = read_camera(camera) if camera is not None else None
     folder, digits = make_folder(output), max(3, len(str(count - 1)))
     for number, draw in enumerate(talk.counted(draws, count, "sampling scene")):
         path = folder / f"sample_{number:0{digits}d}.yaml"
         with all_or_none(path, path.with_suffix(".npz")):
             draw.write(path, given)
-            if images:
-                draw.write_image(path.with_suffix(".npz"), noise, given)
+            if engine is not None:
+                draw.write_image(path.with_suffix(".npz"), engine, noise, given)
         talk.detail(f"wrote {path}")
     first = folder / f"sample_{0:0{digits}d}"
     names = f"{first}.yaml and {first.name}.npz" if images else f"{first}.yaml"

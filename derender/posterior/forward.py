@@ -34,13 +34,12 @@ class Draw:
         """Write the scene's YAML, whole or not at all."""
         write_document(path, self.graph, camera or self.camera, self.likelihood, self.made)
 
-    def write_image(self, path: Path, noise: bool, camera: Camera | None = None) -> None:
+    def write_image(self, path: Path, renderer: Any, noise: bool, camera: Camera | None = None) -> None:
         """Render and write the depth image, with noise drawn from the likelihood (Eq. 6) if `noise`."""
         from derender.camera.depth_file import write_depth
-        from derender.render.raycast.depth import render_depth
 
         camera = camera or self.camera
-        depth, label = render_depth(self.graph.solids(), camera)
+        depth, label = renderer.render_depth(self.graph.solids(), camera)
         if noise:
             depth = observe(self.rng, depth, self.likelihood)
         write_depth(path, depth, camera, dict(self.made), label)

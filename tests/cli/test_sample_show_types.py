@@ -161,6 +161,7 @@ def test_types_lists_and_explains_what_is_registered(capfd):
         (("sample", "tabeltop"), "did you mean 'tabletop'?"),
         (("sample", "missing.yaml"), "missing.yaml"),
         (("sample", "--camera", "missing.json"), "missing.json"),
+        (("sample", "--renderer", "povray"), "no renderer is called 'povray'"),
         (("sample", "-o", "file"), "file"),
         (("show", "missing.yaml"), "there is no such file"),
         (("show", "tabletop", "--json"), "this is a prior, not a scene"),
