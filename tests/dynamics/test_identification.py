@@ -258,8 +258,9 @@ def test_what_hardly_moves_when_it_is_struck_tells_little_of_its_mass(seed):
     rng = np.random.default_rng(seed)
     film = collision(0.28, 1.3, 0.1, rng, 5e-4, gap=0.172)
     answer = Answer(identify(film, rng, draws=50), rng)
-    low, high = np.quantile(answer.draws["mass_ratio.struck.striker"], [0.05, 0.95])
-    assert low < 1.3 < high and high > 2.0 * low
+    # of three 90 % intervals one misses in a quarter of all runs, by nothing but how numbers round
+    low, high = np.quantile(answer.draws["mass_ratio.struck.striker"], [0.005, 0.995])
+    assert low < 1.3 < high and high > 2.5 * low
 
 
 def test_what_tracking_holds_rests_until_it_is_struck():
