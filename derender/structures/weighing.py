@@ -27,7 +27,7 @@ from derender.detection.solids.state import State
 from derender.sampling.evidence import Evidence
 from derender.structures.changes import REACH, carried_upright
 from derender.structures.draws.chart import make_chart, rows_at
-from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
+from derender.structures.draws.metropolis import ROUNDS, engine_of, load, log_evidence, sample
 from derender.structures.draws.refined import (
     Refined,
     at_its_blur,
@@ -43,8 +43,9 @@ from derender.structures.draws.refined import (
 # Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
 # that had it, 5 below the best. And the error that is taken for its own.
 IMPROBABLE, NEAR_ERROR = 14.0, 2.0
-# Draws about which an integral is taken, and steps between them: of one solid, and for each of several.
-DRAWS, THIN, THIN_OF_EACH = 150, 2, 5
+# Draws about which an integral begins, and steps between them: of one solid, and for each of several. It is fitted to
+# points of its own then, so that one round of warm-up from the mode does.
+DRAWS, THIN, THIN_OF_EACH = 150, 2, 3
 # Nats by which what a normal over everything misses differs between structures: .1 to .3 were found at 6 mm of noise,
 # and 1.2 at 2 cm, where little of a solid shows.
 MISSED = 0.5
@@ -93,7 +94,7 @@ def evidence_over(
     if not members:
         return Evidence(sum(load(engine_of(chart, sensor), chart, values)), 0.0), np.empty((0, len(values)))
     steps = THIN if len(solids) == 1 else THIN_OF_EACH * len(solids)
-    (drawn,) = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
+    (drawn,) = sample(rng, chart, sensor, values, 1, DRAWS, steps, members, rounds=ROUNDS[-1:])
     return log_evidence(rng, chart, sensor, values, drawn.values, members), drawn.values
 
 

@@ -312,7 +312,7 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
 
 def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, chains: int, count: int,
            thin: int, only: list[int] | None = None, open_blur: bool = False,
-           until: float | None = None) -> list[Draws]:  # fmt: skip
+           until: float | None = None, rounds: tuple = ()) -> list[Draws]:  # fmt: skip
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
@@ -322,7 +322,8 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
 
     only : coordinates that may move, None for all. open_blur : whether the draws are of the blur too, of which there is
         one for each view: some sides lie where they do only under one blur. Then a draw's density is under its own.
-    until : time.monotonic() to which chains that do not agree go on; None: while it is worth it.
+    until : time.monotonic() to which chains that do not agree go on; None: while it is worth it. rounds : of the
+        warm-up, other than ROUNDS.
     """
     members = list(range(len(values)) if only is None else only)
     walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
@@ -335,7 +336,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     if unseen := unseen_steps(chart, sensor, only):
         singles = joined(singles, make_proposals(unseen))
     met, center = np.empty((0, len(members))), values.copy()
-    for temperature, length in ROUNDS[chains == 1 :]:
+    for temperature, length in rounds or ROUNDS[chains == 1 :]:
         steps = joined(singles, make_proposals(block_steps(chart, spread / temperature, only, center=center)))
         steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
         singles = adapted(singles, steps)
