@@ -16,7 +16,6 @@ from derender.camera.depth_file import DepthImage, Reading
 from derender.compilation.threads import import_in_background
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, Idle, at_fault, idle_lines
-from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.results.posterior import Posterior
 from derender.scene.pose import inverse
@@ -204,8 +203,6 @@ def spelt(name: str) -> str:
 
 def check_request(options: Options, document: Document | None, prior: object, warn: Say) -> None:
     """Refuse, or warn of, options that say nothing about what is asked."""
-    from derender.detection.solids.image import KINDS
-
     given, method = names_objects(document), options.method
     asked, usual = vars(options), vars(Options())
     told = {name: spelt(name) for rule in IDLE for name in rule.names if asked[name] != usual[name]}
@@ -226,9 +223,6 @@ def check_request(options: Options, document: Document | None, prior: object, wa
                                 ("--method mcmc", method == "mcmc")):  # fmt: skip
             if present:
                 raise DerenderError(f"{option} is for one image", "--together", f"leave out {option} or --together")
-    for name in options.shapes or ():
-        if name not in KINDS:
-            raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))
     if method == "mcmc" and options.known is not None:
         raise DerenderError("--method mcmc does not know of libraries", "--known", "leave --method out")
 

@@ -83,7 +83,7 @@ def infer_frames(
     frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic, warn=warn)
     if any(frame.path == "-" for frame in frames):  # whoever infers it is another process
         raise DerenderError("stdin is one image alone", "-", "leave it out, or give it without others")
-    if order.prior or order.options.known or order.options.shapes:  # a fault in these is none of each frame
+    if order.prior or order.options.known:  # a fault in these is none of each frame
         from derender.workflow import asked_of_any  # which takes a tenth of a second to import
 
         asked_of_any(order.options, order.prior)

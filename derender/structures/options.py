@@ -80,6 +80,12 @@ class Options:
         if self.gradient not in GRADIENTS:
             remedy = suggest(self.gradient, GRADIENTS)
             raise DerenderError(f"no gradient is called {self.gradient!r}", "--gradient", remedy)
+        if self.shapes:
+            from derender.detection.solids.image import KINDS
+
+            if wrong := [name for name in self.shapes if name not in KINDS]:
+                remedy = suggest(wrong[0], sorted(KINDS))
+                raise DerenderError(f"{wrong[0]!r} is no shape to look for", "--shapes", remedy)
         for name, (least, most) in RANGES.items():
             value = getattr(self, name)
             if value is not None and not least <= value <= most:

@@ -122,6 +122,7 @@ def test_an_image_with_holes_is_fine(folder, tmp_path):
     "options, message",
     [
         (["--shapes", "bx"], "--shapes: 'bx' is no shape to look for; did you mean 'box'?"),
+        (["--track", "--shapes", "bx"], "--shapes: 'bx' is no shape to look for; did you mean 'box'?"),
         (["--shapes", ""], "--shapes: '' is no shape to look for; choose from"),
         (["--floor", "1,2"], "--floor: this is no floor; give auto, none, or four numbers"),
         (["--only-known"], "--only-known: nothing is known; give a library"),
