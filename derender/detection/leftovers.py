@@ -145,11 +145,9 @@ SURE = (1.0, 0.0)  # probability and error: whether something is there is not as
 class Swap(NamedTuple):
     """What may be there instead of something that was found."""
 
+    place: int  # index of the Observation's thing, or of the State's solid, that it takes the place of
     odds: float  # nats against that, 0 at most
-    instead: State | Thing  # State with all that was found, and solids instead; or the Thing
-    solids: tuple[int, ...] = ()  # indices of the State's solids that it takes the place of
-    thing: int = -1  # index of the Observation's thing that it takes the place of where that is none of them
-    put: tuple[int, ...] = ()  # which of the State's solids are there instead
+    instead: State | Thing  # State of which the last is the solid; or the Thing
 
 
 def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: Settings) -> list[Swap]:
@@ -164,7 +162,7 @@ def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: S
         if len(new) > len(state):
             gain += settings.temper * LEFT_PRICE - settings.price
             odds = (gain - gain_of_thing(there, state, thing.mask, cost, settings)) / settings.temper
-            found.append(Swap(min(odds, 0.0), new, thing=place, put=(len(state),)))
+            found.append(Swap(place, min(odds, 0.0), new))
     _, label, misfit, _ = held_out(seen.image, state, -1)
     whole = total_energy(seen.image, state, settings)
     for place in set(range(len(state))) - set(state.parents):
@@ -174,7 +172,7 @@ def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: S
         left = state.without(place)
         gain = gain_of_thing(seen, left, mask, cost, settings)
         odds = (gain + whole - total_energy(seen.image, left, settings)) / settings.temper
-        found.append(Swap(min(odds, 0.0), made_thing(seen, left, mask, SURE), (place,)))
+        found.append(Swap(place, min(odds, 0.0), made_thing(seen, left, mask, SURE)))
     return found
 
 

@@ -1,18 +1,16 @@
 """Free-form things in a posterior: each part of it gets them as objects, with what is not known of their extents."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from derender.detection.leftovers import Swap, swaps
+from derender.detection.leftovers import swaps
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import THINNEST, Thing
 from derender.results.posterior import NINETY
-from derender.scene.graph import SceneGraph
 from derender.scene.polygon import convex_outline
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.mesh import encode_surface
@@ -49,36 +47,31 @@ def with_things(
 
 
 def with_rivals(
-    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State,
-    settings: "Settings", stacks: Sequence[Swap] = ()
-) -> "list[StructurePosterior]":  # fmt: skip
-    """Return StructurePosteriors in which each thing may be a solid, each solid on which nothing stands a thing, and
-    what `stacks` says otherwise.
+    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State, settings: "Settings"
+) -> "list[StructurePosterior]":
+    """Return StructurePosteriors in which each thing may be a solid, and each solid on which nothing stands a thing.
 
     What takes another's place has its name. The likeliest MOST_PARTS are told, of which the new ones are modes alone.
     """
     names = names_of(state)
     believed = settings.believed.loose.things
-    for swap in [*swaps(rng, seen, state, settings), *stacks]:
+    for swap in swaps(rng, seen, state, settings):
         if swap.odds < -NEGLIGIBLE:
             continue
-        gone = [names[k] for k in swap.solids] or [thing_name(swap.thing)]
-        own = dict(zip(swap.put, [*gone, f"{gone[0]}_2"], strict=False))
+        free = isinstance(swap.instead, Thing)
+        name = names[swap.place] if free else thing_name(swap.place)
         share, low, high = 1.0 / (1.0 + np.exp(-(swap.odds + NEAR_ERROR * np.array([0.0, -NINETY, NINETY]))))
         both = []
         for part in parts:
-            free = [part.graph.vertex(name).shape == "thing" for name in gone if name in part.graph.names]
-            if free != [not swap.solids] * len(gone) or borne_by(part.graph, gone):  # in some something stands on it
+            stays = name not in part.graph.names or (part.graph.vertex(name).shape == "thing") == free
+            if stays or part.graph.children(name):  # in some structures something stands on it
                 both.append(part)
                 continue
-            left = part.best_only()
-            for name in reversed(gone):
-                left = without_object(left, name)
+            left = without_object(part.best_only(), name)
             if isinstance(swap.instead, Thing):
-                other = _with_all(rng, left, names, [Made.of(gone[0], swap.instead, seen, believed)], believed.whole)
+                other = _with_all(rng, left, names, [Made.of(name, swap.instead, seen, believed)], believed.whole)
             else:
-                every = [own.get(k) or names[k] for k in range(len(swap.instead))]
-                other = with_solids(left, swap.instead, every, swap.put)
+                other = with_solid(left, swap.instead, [*names, name])
             for each, ends in ((part, (1.0 - share, 1.0 - high, 1.0 - low)), (other, (share, low, high))):
                 scaled = each.scaled(float(ends[0]))
                 error = float(np.hypot(scaled.weight_error, part.weight * NEAR_ERROR * share * (1.0 - share)))
@@ -101,20 +94,12 @@ def without_object(part: "StructurePosterior", name: str) -> "StructurePosterior
     )
 
 
-def borne_by(graph: SceneGraph, names: Sequence[str]) -> set[str]:
-    """Return the names of what stands on objects of these names, and is none of them."""
-    return {child for name in names for child in graph.children(name)} - set(names)
-
-
-def with_solids(part: "StructurePosterior", state: State, names: list[str], put: Sequence[int]) -> "StructurePosterior":
-    """Return a StructurePosterior with some solids of a State, of these names, as they are."""
-    graph, every = part.graph, scene_graph(state, part.graph.root_pose, names)
-    for k in put:
-        own = every.vertex(names[k])
-        if own.parent not in graph.names:
-            own = scene_graph(subset(state, {k}), graph.root_pose, [names[k]]).vertex(names[k])
-        graph = graph.add(own)
-    return replace(part, graph=graph)
+def with_solid(part: "StructurePosterior", state: State, names: list[str]) -> "StructurePosterior":
+    """Return a StructurePosterior with the last solid of a State, of these names, as it is."""
+    own = scene_graph(state, part.graph.root_pose, names).vertex(names[-1])
+    if own.parent not in part.graph.names:
+        own = scene_graph(subset(state, {len(state) - 1}), part.graph.root_pose, names[-1:]).vertex(names[-1])
+    return replace(part, graph=part.graph.add(own))
 
 
 class Made(NamedTuple):

@@ -27,7 +27,6 @@ from derender.scene.priors.bare_image import BareImagePrior, Missed
 from derender.structures.options import Frame, Options
 
 if TYPE_CHECKING:
-    from derender.detection.leftovers import Swap
     from derender.posterior.target import ObservedImage
     from derender.results.posterior import Posterior, StructurePosterior
     from derender.structures.grids import Image
@@ -136,13 +135,13 @@ def searched(rng: np.random.Generator, case: Case, pool: list[tuple[State, float
 
     state, seen = point_estimate(rng, case.depth, case.camera, case.settings, pool=pool, plane=case.plane)
     settings = settings_for(case.settings, seen)
-    refined, stacks = None, None
+    refined = None
     try:
-        seen, state, refined, stacks = with_stacks(rng, seen, state, settings)
+        seen, state, refined = with_stacks(rng, seen, state, settings)
     except KeyboardInterrupt:
         seen = seen._replace(interrupted=True)
     say(0.6, f"{len(state)} solids; sampling")
-    looks = [Look(state, seen, refined=refined, stacks=stacks or [])]
+    looks = [Look(state, seen, refined=refined)]
     for frame in case.frames:
         say(0.6, f"searching {frame.name} for solids")
         found = point_estimate(rng, frame.depth, frame.camera, case.settings)
@@ -193,7 +192,7 @@ def completed(
     state, seen = looks[0].state, looks[0].seen
     settings = settings_for(case.settings, seen)
     extras: dict[str, Any] = dict(parts[0].extras)
-    parts, observations = finished(rng, case, parts, state, seen, settings, looks[0].stacks), [seen]
+    parts, observations = finished(rng, case, parts, state, seen, settings), [seen]
     alone = case.plane is None and len(looks) == 1 and not (interrupted or case.library)
     if settings.free_forms and alone:
         others, look = [], partial(point_estimate, rng, case.depth, case.camera, case.settings)
@@ -213,7 +212,7 @@ def completed(
 
 
 def finished(rng: np.random.Generator, case: Case, parts: "list[StructurePosterior]", state: State, seen: Observation,
-             settings: Settings, stacks: "Sequence[Swap]" = ()) -> "list[StructurePosterior]":  # fmt: skip
+             settings: Settings) -> "list[StructurePosterior]":  # fmt: skip
     """Return the structures over one plane with the free-form things, bridges and grids that the search leaves out."""
     from derender.structures.bridges import with_bridges
     from derender.structures.free_forms import with_rivals, with_things
@@ -223,7 +222,7 @@ def finished(rng: np.random.Generator, case: Case, parts: "list[StructurePosteri
     if not settings.free_forms:
         return parts
     if not case.only_best:
-        parts = with_rivals(rng, parts, seen, state, settings, stacks)
+        parts = with_rivals(rng, parts, seen, state, settings)
     return with_grids(parts, image_of(seen, case, settings.temper), case.beliefs)
 
 

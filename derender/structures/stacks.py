@@ -3,22 +3,19 @@
 Where neighbouring pixels share noise the search asks of each solid what small ones cannot pay, and tells a stack as one
 solid or thing. Here all three are weighed as the posterior weighs them: solids by near integrals of prior times
 likelihood, a free-form surface by the likelihood of what is seen there less what its numbers cost. Of real things,
-which are no such solids exactly, two explain more than one, too: 3 to 34 nats in nine of 45 images; stacks of made
-sensors 23 to 540. What two explain of one real thing in excess is taken to be exponential, so that of evidence for two
-EXCESS nats count as one (a coarsened likelihood: Miller and Dunson, Journal of the American Statistical Association,
-2019), and both have to be off the image no farther than INEXACT says. Where that leaves it open both are told.
+which are no such solids exactly, two explain more than one, too (3 to 34 nats in nine of 45 images, stacks of made
+sensors 21 to 450): a bottle or a book stays one, for the second has to gain what the search asks of any solid, and both
+have to be off the image no farther than INEXACT says.
 """
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
 from derender.detection.compounds import neck
-from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, Swap, polished, without_thing
+from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, polished, without_thing
 from derender.detection.search.greedy import Settings
 from derender.detection.search.moves import ALIGNED, alignment, extents_along
 from derender.detection.search.observation import CORRELATED, Observation
@@ -27,7 +24,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import final_parents, with_bottom
-from derender.detection.things import THINNEST, Thing, cost_of
+from derender.detection.things import THINNEST, cost_of
 from derender.results.fit import smooth_surface
 from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import QUICK, unclimbed
@@ -47,9 +44,6 @@ from derender.structures.draws.sensor import model_depth
 # Times as far as half of the floor's pixels are off it half of those of a solid are that may be two, at least; and of
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
 EXACT, INEXACT = 1.05, 2.0
-# Nats by which two explain one real thing better than one solid does, in the mean of those of which they do; and the
-# share of stacks among what is asked.
-EXCESS, STACKED = 12.0, 0.05
 FLUSH = 0.004  # metres by which sides that are flush are seen apart: real sensors' faces are off by some 3 mm
 # Of the stacks of each pair of kinds that are climbed, and of those that are climbed farther; times as far off as after
 # that they may be before it: of those that ended as stacks all were less than 2.6 times.
@@ -57,84 +51,44 @@ TRIED, ROUGHLY = 2, 3.0
 CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is cut in two
 
 
-class Stack(NamedTuple):
-    """A solid as two."""
-
-    odds: float  # nats of the two against what is likelier otherwise
-    two: State  # of which the last is the upper one
-    one: State  # in which it is one solid
-    surface: bool  # whether a free-form surface is likelier than that
-
-
 def with_stacks(
     rng: np.random.Generator, seen: Observation, state: State, settings: Settings
-) -> tuple[Observation, State, Refined | None, list[Swap]]:
-    """Return (Observation, State) with stacks of two for those things and solids that these explain better, the State's
-    Refined where it was made, there is something to look at, and it stays as it is; and Swaps of two for one and of
-    one for two."""
+) -> tuple[Observation, State, Refined | None]:
+    """Return (Observation, State) with stacks of two for those things and solids that these explain better, and
+    the State's Refined where it was made: where there is something to look at, and it stays as it is."""
     if seen.correlation <= CORRELATED or seen.no_floor or seen.interrupted or not settings.free_forms:
-        return seen, state, None, []
+        return seen, state, None
     bears = {thing.parent for thing in seen.things}  # things: solids that stand on it go up with its top
     looked_at = inexact(
         seen, state, [k for k, row in enumerate(state.rows) if int(row[0]) != SPHERE and k not in bears]
     )
     if not (seen.things or looked_at):
-        return seen, state, None, []
+        return seen, state, None
     refined = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
     if len(refined.state) != len(state):
-        return seen, state, refined, []
-    things, found, asked = [], refined.state, []
+        return seen, state, refined
+    things, found = [], refined.state
     for thing in seen.things:
         there, bottom = seen._replace(image=without_thing(seen.image, thing)), lowest(thing.row)
         one = found.add(thing.row, UPRIGHT, False, thing.parent, bottom)
-        stack = as_stack(rng, there, refined, one, len(found), thing.mask, settings)
-        both = (len(found), len(found) + 1)
-        if stack is None or stack.odds < 0.0:
-            if stack is not None:
-                asked.append(partial(swap_of, stack.odds, (), stack.two, both, len(things)))
+        two = as_stack(rng, there, refined, one, len(found), thing.mask, settings)
+        if two is None:
             things.append(thing)
         else:
-            asked.append(partial(swap_of, -stack.odds, both, thing if stack.surface else stack.one, both[:1], -1))
-            seen, found = there, stack.two
+            seen, found = there, two
     looked_at += inexact(seen, found, range(len(state), len(found)))
     for k, shown in looked_at:
-        stack, both = as_stack(rng, seen, refined, found, k, shown, settings), (k, len(found))
-        if stack is None:
-            continue
-        if stack.odds >= 0.0:
-            found = stack.two
-            looked_at += inexact(seen, found, both)
-        if not stack.surface:
-            asked.append(partial(swap_of, -stack.odds, both, stack.one, both[:1], -1) if stack.odds >= 0.0
-                         else partial(swap_of, stack.odds, both[:1], stack.two, both, -1))  # fmt: skip
+        two = as_stack(rng, seen, refined, found, k, shown, settings)
+        if two is not None:
+            found = two
+            looked_at += inexact(seen, found, (k, len(found) - 1))
     if len(found) == len(state):
-        return seen, state, refined, [each(state, range(len(state))) for each in asked]
+        return seen, state, refined
     found.parents = final_parents(found)
-    order, found = found.in_order(), found.ordered()
+    order = found.in_order()
     things = [each._replace(parent=order.index(each.parent) if each.parent in order else each.parent)
               for each in things]  # fmt: skip
-    return seen._replace(things=tuple(things)), found, None, [each(found, order) for each in asked]
-
-
-def swap_of(odds: float, taken: tuple[int, ...], chosen: State | Thing, put: tuple[int, ...], thing: int,
-            state: State, order: Sequence[int]) -> Swap:  # fmt: skip
-    """Return the Swap of a thing, or of solids `put` of one State, for solids `taken`, or for a thing of this index.
-
-    state : as it is now. order : its solids, as they were numbered when this was asked.
-    """
-    at = {FLOOR: FLOOR, **{k: place for place, k in enumerate(order)}}
-    solids = tuple(at[k] for k in taken)
-    if isinstance(chosen, Thing):
-        return Swap(odds, chosen._replace(parent=at[chosen.parent]), solids)
-    own: dict[int, int] = {}
-    for n, k in enumerate(put):
-        row, form, cube = chosen.rows[k], chosen.forms[k], chosen.cubes[k]
-        if n < len(solids):
-            own[k], state = solids[n], state.changed(solids[n], row=row, form=form, cube=cube)
-        else:
-            parent = {**at, **own}[chosen.parents[k]]
-            own[k], state = len(state), state.add(row, form, cube, parent, chosen.bottoms[k])
-    return Swap(odds, state, solids, thing, tuple(own.values()))
+    return seen._replace(things=tuple(things)), found.ordered(), None
 
 
 def inexact(seen: Observation, state: State, solids: Iterable[int]) -> list[tuple[int, np.ndarray]]:
@@ -159,8 +113,9 @@ def badness(seen: Observation, state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, state: State, i: int,
-             shown: np.ndarray, settings: Settings) -> Stack | None:  # fmt: skip
-    """Return the Stack that solid `i`, which shows in a mask (H, W), may be, both upright; None: it is none."""
+             shown: np.ndarray, settings: Settings) -> State | None:  # fmt: skip
+    """Return the State in which solid `i`, which shows in a mask (H, W), is two, both upright, the upper the last; None
+    where it is likelier as one, or as a free-form surface."""
     view, rules, floor = view_of(seen), settings.rules, floor_pose_of(refined)
     sensor, both = refined.sensor._replace(observed=view.observed, beside=None).changed(), (i, len(state))
 
@@ -201,11 +156,9 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     free = np.where(shown, smooth_surface(seen.image.depth, shown), model_depth(*left, view.camera))
     numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
     surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
-    if parts_of_one(two.state, i, FLUSH * seen.scale):
-        return None
-    excess = likely - max(alone, surface)
-    odds = math.log(STACKED) + (excess / EXCESS if excess > 0.0 else excess)
-    return Stack(odds, two.state, one.state, surface > alone)
+    asked = settings.price / settings.temper  # of a solid, in nats of the likelihood
+    better = likely > max(alone, surface) + asked and not parts_of_one(two.state, i, FLUSH * seen.scale)
+    return two.state if better else None
 
 
 def parts_of_one(state: State, i: int, flush: float) -> bool:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.leftovers import Swap
 from derender.detection.search.greedy import Settings, total_energy
 from derender.detection.search.observation import Observation
 from derender.detection.solids.graph import matched_names, names_of, structure_key
@@ -127,7 +126,6 @@ class Look(NamedTuple):
     over: np.ndarray = np.eye(4)  # (4, 4), this floor's frame to the first one's: a turn and a shift along the floor
     found: bool = False  # whether that was found, not given
     refined: Refined | None = None  # the state's, where that is made already
-    stacks: Sequence[Swap] = ()  # what may be two solids in place of one, and the reverse
 
 
 def look_from(first: Look, state: State, seen: Observation, frame: Frame, settings: Settings) -> Look:

@@ -242,11 +242,11 @@ def test_what_a_thing_may_be_instead_has_its_share(monkeypatch):
     parts = free_forms.with_things(rng, [part], seen, State(), Things())
     box = State().add(row, UPRIGHT, False, FLOOR, 0.0)
     for odds, count in ((-1.0, 2), (-20.0, 1)):
-        monkeypatch.setattr(free_forms, "swaps", lambda *_, odds=odds: [Swap(odds, box, thing=0, put=(0,))])
+        monkeypatch.setattr(free_forms, "swaps", lambda *_, odds=odds: [Swap(0, odds, box)])
         found = Posterior(tuple(free_forms.with_rivals(rng, parts, seen, State(), settings)))
         assert len(found.parts) == count and sum(each.weight for each in found.parts) == pytest.approx(1.0)
         assert found.object_probability("thing_1") == pytest.approx(1.0)
-    monkeypatch.setattr(free_forms, "swaps", lambda *_: [Swap(-1.0, box, thing=0, put=(0,))])
+    monkeypatch.setattr(free_forms, "swaps", lambda *_: [Swap(0, -1.0, box)])
     found = Posterior(tuple(free_forms.with_rivals(rng, parts, seen, State(), settings)))
     assert found.shape_probability("thing_1")["box"] == pytest.approx(1.0 / (1.0 + np.exp(1.0)))
     back = free_forms.with_rivals(rng, [found.parts[1]], seen, State(), settings)

@@ -1,23 +1,18 @@
 """Stacks where neighbouring pixels share noise: two solids in place of one, or of a thing, if that is what is there."""
 
 import numpy as np
-import pytest
 from scipy.ndimage import gaussian_filter
 from table_scenes import CAMERA, bowl, seen_on_the_table
 
 from derender.detection.estimate import settings_for
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, observe
-from derender.detection.solids.graph import names_of, scene_graph
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import made_thing
-from derender.results.posterior import StructurePosterior
 from derender.scene.pose import rotation_x
-from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX, CYLINDER, MESH
-from derender.structures import free_forms, stacks
 from derender.structures.stacks import FLUSH, badness, inexact, parts_of_one, with_stacks
 
 # A can with a box on it: of what a solid hides of another nothing shows.
@@ -55,7 +50,7 @@ def test_a_stack_that_the_search_tells_as_one_can_or_as_a_thing_is_two():
     x, y, _ = can[1].rows[0, 10:13]
     tilted = State().add(make_row(BOX, rotation_x(0.3)[:3, :3], [x, y, 0.055], (0.06, 0.05, 0.1)), FREE, False)
     for there, state in (can, (seen, tilted), as_thing(seen)):
-        left, found, refined, _ = with_stacks(np.random.default_rng(0), there, state, settings)
+        left, found, refined = with_stacks(np.random.default_rng(0), there, state, settings)
         assert not left.things and found.parents == [FLOOR, 0] and refined is None
         assert found.rows[:, 0].tolist() == [CYLINDER, BOX]
         np.testing.assert_allclose(found.rows[:, 15], [0.06, 0.05], atol=0.006)  # their heights
@@ -76,7 +71,7 @@ def test_what_shows_beyond_a_solid_is_no_part_of_the_stack_in_its_place():
     seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, lower, None), (BOX, 0.025, 0.0, upper, None))
     x, y, _ = np.quantile(seen.points[seen.mask], (0.02, 0.98), axis=0).mean(axis=0)
     box = make_row(BOX, np.eye(3), [x, y, 0.5 * upper[2]], (*lower[:2], upper[2]))
-    _, found, *_ = with_stacks(np.random.default_rng(0), seen, State().add(box, UPRIGHT, False), settings)
+    _, found, _ = with_stacks(np.random.default_rng(0), seen, State().add(box, UPRIGHT, False), settings)
     assert found.parents == [FLOOR, 0]
     np.testing.assert_allclose(found.rows[:, 15], [0.06, 0.05], atol=0.006)  # their heights
 
@@ -84,10 +79,10 @@ def test_what_shows_beyond_a_solid_is_no_part_of_the_stack_in_its_place():
 def test_what_is_one_solid_or_no_solid_stays_so():
     seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, (0.07, 0.08, 0.11), None))
     for there, state in (as_can(seen, (0.08, 0.08, 0.11)), as_thing(seen)):
-        left, found, refined, _ = with_stacks(np.random.default_rng(0), there, state, settings)
+        left, found, refined = with_stacks(np.random.default_rng(0), there, state, settings)
         assert left is there and found is state and len(refined.state) == len(state)
     seen, settings = seen_by_a_sensor((MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl()))
-    left, found, *_ = with_stacks(np.random.default_rng(0), *as_thing(seen), settings)
+    left, found, _ = with_stacks(np.random.default_rng(0), *as_thing(seen), settings)
     assert len(left.things) == 1 and len(found) == 0
 
 
@@ -105,31 +100,3 @@ def test_a_bottle_s_neck_and_an_l_s_arms_are_parts_of_one():
     assert not one(CYLINDER, can, (0.06, 0.06, 0.06), 0.0)
     foot = (0.08, 0.045, 0.03)
     assert one(BOX, foot, (0.03, 0.045, 0.05), 0.024) and not one(BOX, foot, (0.03, 0.045, 0.05), 0.012)
-
-
-@pytest.mark.parametrize("surface", [False, True])
-def test_evidence_that_real_things_may_show_leaves_two_and_one_open(monkeypatch, surface):
-    """A stack of two was told as one box, trusted: two were 23 nats likelier, and 40 were asked."""
-    seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, (0.07, 0.08, 0.11), None))
-    start = as_thing(seen) if surface else as_can(seen, (0.08, 0.08, 0.11))
-    lower, upper = (make_row(BOX, np.eye(3), [0.0, 0.0, high], (0.07, 0.08, 0.055)) for high in (0.03, 0.085))
-    one = State().add(lower, UPRIGHT, False, FLOOR, 0.0)
-    two = one.add(upper, UPRIGHT, False, 0, 0.055)
-    monkeypatch.setattr(stacks, "inexact", lambda _, there, which: [(0, seen.mask)] if 0 in which else [])
-    monkeypatch.setattr(free_forms, "swaps", lambda *_: [])
-    for odds in (-1.0, 1.0):
-        told = [stacks.Stack(odds, two, one, surface)]
-        monkeypatch.setattr(stacks, "as_stack", lambda *_, told=told: told.pop() if told else None)
-        left, found, _, (swap,) = with_stacks(np.random.default_rng(0), *start, settings)
-        assert len(found) + len(left.things) == (2 if odds > 0.0 else 1) and swap.odds == -1.0
-        rng, nothing = np.random.default_rng(0), np.zeros((1, 5))
-        part = StructurePosterior(scene_graph(found, seen.floor.pose, names_of(found)), (), nothing[..., None][..., :0],
-                                  nothing, nothing)  # fmt: skip
-        parts = free_forms.with_things(rng, [part], left, found, Things())
-        first, other = free_forms.with_rivals(rng, parts, left, found, settings, [swap])
-        shapes = [sorted(vertex.shape for vertex in each.graph.vertices) for each in (first, other)]
-        single = ["plane", "thing"] if surface else ["box", "plane"]
-        if not surface and odds < 0.0:
-            single = ["cylinder", "plane"]
-        assert shapes == ([["box", "box", "plane"], single] if odds > 0.0 else [single, ["box", "box", "plane"]])
-        assert first.weight == pytest.approx(1.0 / (1.0 + np.exp(-1.0))) and other.weight == 1.0 - first.weight
