@@ -99,11 +99,10 @@ def depth_edges(depth: np.ndarray, step: float) -> np.ndarray:
 def _jumps(inverse: np.ndarray, step: float) -> np.ndarray:
     """Return bool of the same shape: pixels beside a jump along the rows."""
     ahead = np.diff(inverse, axis=1)
-    beside = np.pad(
-        ahead, ((0, 0), (1, 1)), constant_values=np.inf
-    )  # at the border one side alone leads to expect anything
-    unexpected = np.minimum(np.abs(ahead - beside[:, :-2]), np.abs(ahead - beside[:, 2:]))
-    jump = unexpected > step * np.minimum(inverse[:, :-1], inverse[:, 1:])
+    # At the border one side alone leads to expect anything; in an image of two columns nothing does.
+    slopes = np.pad(ahead, ((0, 0), (1, 1)), constant_values=np.inf)
+    unexpected = np.minimum(np.abs(ahead - slopes[:, :-2]), np.abs(ahead - slopes[:, 2:]))
+    jump = np.isfinite(unexpected) & (unexpected > step * np.minimum(inverse[:, :-1], inverse[:, 1:]))
     beside = np.zeros(inverse.shape, dtype=bool)
     beside[:, :-1] |= jump
     beside[:, 1:] |= jump

@@ -1,8 +1,8 @@
 """Maximum a posteriori estimation of the numbers of a scene graph whose structure is given (A.3, Eqs. 7-9, Figure 5).
 
 Any scene is led to its mode by a walk ever colder (`cooled`); where none of its solids is a mesh, Levenberg-Marquardt
-on the exact Jacobian of the antialiased image leads on. It keeps every state inside the domain, angles going round
-their period.
+on the Jacobian of the antialiased image leads on, along its exact gradient or along that of finite differences. It
+keeps every state inside the domain, angles going round their period.
 
 Eq. 7-9: a contact's parameter moves the vertex and all that descends from it by one rigid motion. The motions are found
 by central differences of Eq. 1 itself (numbers of order one in float64: exact to 1e-9), so that every contact type,

@@ -28,9 +28,8 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     lying = leaves > MOST_ABREAST
     width, height = 196, 62
     gap, apart = (44, 10) if lying else (34, 18)
-    deep, broad = (
-        (width, height) if lying else (height, width)
-    )  # of a box, along the way that the tree grows and across
+    # Of a box, along the way that the tree grows and across.
+    deep, broad = (width, height) if lying else (height, width)
     long, wide = (deepest + 1) * (deep + gap) - gap + 12, max(1, leaves) * (broad + apart) + 10
     total_width, total_height = (long, wide) if lying else (wide, long)
 

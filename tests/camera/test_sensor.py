@@ -58,6 +58,7 @@ def test_a_slanted_plane_has_no_edge_and_a_box_on_it_has_its_outline():
     columns, rows = np.meshgrid(np.arange(64), np.arange(48))
     plane = 1 / (0.3 + 0.02 * rows + 0.003 * columns)  # 9 cm a pixel at the top: far steeper than any edge_step
     assert not depth_edges(plane, 0.02).any()
+    assert not depth_edges(plane[:, :2], 0.02).any()  # two columns: one difference, and none to compare it with
     box = (abs(columns - 30) < 8) & (abs(rows - 24) < 6)
     depth = np.where(box, plane * 0.8, plane)
     edge = depth_edges(depth, 0.02)
