@@ -206,7 +206,7 @@ def test_momentum_tells_the_ratio_of_masses_whatever_a_blow_gives_back(friction,
     for name, truth in (("friction", friction), ("mass_ratio.struck.striker", ratio)):
         low, middle, high = np.quantile(draws[name], [0.02, 0.5, 0.98])
         # The ends of what a few draws leave are uncertain by some hundredths themselves. Medians of eight such films
-        # lie 8 % below the truth and spread by 8 %: three times that, as rounding differs from one processor to another.
+        # lie 8 % below the truth and spread by 8 %: three times that, as processors round in different ways.
         assert 0.9 * low < truth < 1.1 * high and abs(middle / truth - 1) < 0.32
 
 
