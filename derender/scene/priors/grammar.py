@@ -19,14 +19,44 @@ from derender.scene.distributions import Categorical, Distribution, distribution
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, fault, top_face
 from derender.scene.priors.terms import Term
-from derender.scene.priors.tree import ROOT, Prior, RootPrior, TreeObject, TreePrior, seat, vertex_addresses
+from derender.scene.priors.tree import (
+    ROOT,
+    Prior,
+    RootPrior,
+    TreeObject,
+    TreePrior,
+    seat,
+    vertex_addresses,
+    vertex_log_density,
+)
 from derender.scene.shapes import shapes
 
 MOST_OBJECTS = 10_000
 
 
+class OpenPrior(Prior):
+    """What priors of open structure share: objects that are always there, and kinds of those that grow."""
+
+    shapes: Mapping[str, ShapePrior]  # kinds of objects that grow, by name
+    contacts: ContactPrior  # p_{s,t}(c) and p_c(phi)
+    tree: TreePrior  # the prior of the objects that are always there
+
+    def kind_of(self, vertex: Vertex) -> str | None:
+        """Return the kind of a grown vertex, None if no kind is like it."""
+        return next((kind for kind, entry in self.shapes.items() if entry.matches(vertex)), None)
+
+    def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
+        vertices = {vertex.name: vertex for vertex in graph.vertices}
+        free = self.tree.free_addresses(graph)
+        for name, vertex in vertices.items():
+            kind = self.kind_of(vertex)
+            if kind is not None and name not in self.tree.by_name:
+                free.update(vertex_addresses(self.shapes[kind], self.contacts, vertices, name))
+        return free
+
+
 @dataclass(frozen=True)
-class GrammarPrior(Prior):
+class GrammarPrior(OpenPrior):
     """Objects that grow on a base.
 
     base : objects that are always there, under their names (a floor); they may have distributions too.
@@ -140,10 +170,6 @@ class GrammarPrior(Prior):
                 )
         return SceneGraph(root_pose=root_pose, vertices=tuple(vertices.values()))
 
-    def kind_of(self, vertex: Vertex) -> str | None:
-        """Return the kind of a grown vertex, None if no kind is like it."""
-        return next((kind for kind, entry in self.shapes.items() if entry.matches(vertex)), None)
-
     def unconstrained_log_density(self, graph: SceneGraph) -> float:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
         base = self.tree.by_name
@@ -154,7 +180,7 @@ class GrammarPrior(Prior):
             if item.name not in vertices or total == -math.inf:
                 return -math.inf
             kinds[item.name] = item.name
-            total += self.tree.vertex_log_density(item, vertices)
+            total += self.tree.object_log_density(item, vertices)
         for name, vertex in vertices.items():
             if name in base:
                 continue
@@ -163,12 +189,11 @@ class GrammarPrior(Prior):
                 return -math.inf
             kinds[name] = kind
             children[vertex.parent] = children.get(vertex.parent, 0) + 1
-            shape, top = seat(vertices, vertex.parent)
-            choice = self.kinds(shape, top)
+            choice = self.kinds(*seat(vertices, vertex.parent))
             if choice is None:
                 return -math.inf
-            total += choice.log_density(kind) + self.shapes[kind].log_density(vertex)
-            total += self.contacts.log_density(vertex.contact, shape, vertex.shape, top)
+            total += choice.log_density(kind)
+            total += vertex_log_density(self.shapes[kind], self.contacts, vertices, name)
             if total == -math.inf:
                 return total
         for name, kind in kinds.items():
@@ -181,15 +206,6 @@ class GrammarPrior(Prior):
                 return -math.inf
         return total
 
-    def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
-        vertices = {vertex.name: vertex for vertex in graph.vertices}
-        free = self.tree.free_addresses(graph)
-        for name, vertex in vertices.items():
-            kind = self.kind_of(vertex)
-            if kind is not None and name not in self.tree.by_name:
-                free.update(vertex_addresses(self.shapes[kind], self.contacts, vertices, name))
-        return free
-
     def log_orderings(self, graph: SceneGraph) -> float:
         base = self.tree.by_name
         counts = Counter(vertex.parent for vertex in graph.vertices if vertex.name not in base)
@@ -197,7 +213,7 @@ class GrammarPrior(Prior):
 
 
 @dataclass(frozen=True)
-class Algorithm1Prior(Prior):
+class Algorithm1Prior(OpenPrior):
     """Algorithm 1 of the paper; its log density is Eq. 4.
 
     Eq. 4 leaves out one case: with no parents and n_2 > 0 children the algorithm has no result.  `sample` draws both
@@ -212,10 +228,12 @@ class Algorithm1Prior(Prior):
     mean_parents: float  # lambda_1 and lambda_2
     mean_children: float  # lambda_1 and lambda_2
     constraints: tuple[Term, ...] = ()
+    tree: TreePrior = field(init=False, repr=False, compare=False)  # of the bare root
     _parents: Distribution = field(init=False, repr=False, compare=False)
     _children: Distribution = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "tree", TreePrior(self.root, ()))
         object.__setattr__(self, "_parents", distributions["poisson"](self.mean_parents))
         object.__setattr__(self, "_children", distributions["poisson"](self.mean_children))
         for parent in self.shapes.values():
@@ -258,30 +276,17 @@ class Algorithm1Prior(Prior):
         second = len(vertices) - len(first)
         total = self.root.log_density(graph.root_pose)
         total += self._parents.log_density(len(first)) + self._children.log_density(second)
-        for vertex in vertices.values():
-            entry = self._entry(vertex)
-            if entry is None or vertex.supports or (vertex.parent != ROOT and vertex.parent not in first):
+        for name, vertex in vertices.items():
+            kind = self.kind_of(vertex)
+            if kind is None or vertex.supports or (vertex.parent != ROOT and vertex.parent not in first):
                 return -math.inf  # not in S, or deeper than Algorithm 1 goes
-            shape, top = seat(vertices, vertex.parent)
             total -= math.log(len(self.shapes))
-            total += entry.log_density(vertex) + self.contacts.log_density(vertex.contact, shape, vertex.shape, top)
+            total += vertex_log_density(self.shapes[kind], self.contacts, vertices, name)
             if total == -math.inf:
                 return total
         if second:
             total -= second * math.log(len(first))
         return total
-
-    def _entry(self, vertex: Vertex) -> ShapePrior | None:
-        return next((entry for entry in self.shapes.values() if entry.matches(vertex)), None)
-
-    def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
-        vertices = {vertex.name: vertex for vertex in graph.vertices}
-        free = self.root.free_addresses()
-        for name, vertex in vertices.items():
-            entry = self._entry(vertex)
-            if entry is not None:
-                free.update(vertex_addresses(entry, self.contacts, vertices, name))
-        return free
 
     def log_orderings(self, graph: SceneGraph) -> float:
         depth = Counter(vertex.parent == ROOT for vertex in graph.vertices)

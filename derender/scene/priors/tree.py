@@ -28,7 +28,6 @@ from derender.scene.priors.objects import (
     draw,
     draw_vertex,
     fault,
-    log_density,
     top_face,
 )
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
@@ -57,8 +56,11 @@ class RootPrior:
         return found | {f"root.q{axis}": x for axis, x in zip("wxyz", found.pop(ROTATED, ()), strict=False)}
 
     def log_density(self, pose: np.ndarray) -> float:
-        """Return the log density of a pose."""
-        raise NotImplementedError
+        """Return the log density of a pose; -inf where no free coordinates give it."""
+        values, free = self.values(pose), self.free_addresses()
+        if np.abs(self.pose({key: values[key] for key in free}) - pose).max() > SAME:
+            return -math.inf
+        return sum((law.log_density(values[key]) for key, law in free.items()), 0.0)
 
     def sample(self, rng: np.random.Generator | None) -> np.ndarray:
         """Return a pose drawn."""
@@ -89,9 +91,6 @@ class FixedRoot(RootPrior):
     def sample(self, rng: np.random.Generator | None) -> np.ndarray:
         return self._pose.copy()
 
-    def log_density(self, pose: np.ndarray) -> float:
-        return 0.0 if np.abs(pose - self._pose).max() <= SAME else -math.inf
-
     def pose(self, values: Mapping[str, Any]) -> np.ndarray:
         return self._pose.copy()
 
@@ -104,16 +103,7 @@ class FreeRoot(RootPrior):
     """
 
     def __init__(self, position: tuple[Value, Value, Value], rotation: tuple[float, ...] | Distribution) -> None:
-        self._position = position
-        self._rotation = rotation
         self.parts = {**dict(zip(PLACE, position, strict=True)), ROTATED: rotation}
-
-    def log_density(self, pose: np.ndarray) -> float:
-        total = sum(log_density(value, x) for value, x in zip(self._position, pose[:3, 3].tolist(), strict=True))
-        if isinstance(self._rotation, tuple):
-            if np.abs(pose[:3, :3] - from_quaternion(self._rotation)[:3, :3]).max() > SAME:
-                return -math.inf
-        return total
 
     def values(self, pose: np.ndarray) -> dict[str, Any]:
         return {**dict(zip(PLACE, pose[:3, 3].tolist(), strict=True)), ROTATED: tuple(quaternion(pose).tolist())}
@@ -137,12 +127,6 @@ class LookedAtRoot(RootPrior):
     def __init__(self, distance: Value, elevation: Value, azimuth: Value = 0.0, roll: Value = 0.0) -> None:
         values = (distance, elevation, azimuth, roll)
         self.parts = {f"root.{key}": value for key, value in zip(self.KEYS, values, strict=True)}
-
-    def log_density(self, pose: np.ndarray) -> float:
-        if abs(pose[0, 3]) > SAME or abs(pose[1, 3]) > SAME or pose[2, 3] <= 0:
-            return -math.inf
-        values = self.values(pose)
-        return sum((log_density(part, values[key]) for key, part in self.parts.items()), 0.0)
 
     def values(self, pose: np.ndarray) -> dict[str, Any]:
         """Return distance, elevation in [-pi/2, pi/2], azimuth and roll: a z-x-z Euler triple of the rotation."""
@@ -323,22 +307,16 @@ class TreePrior(Prior):
         for item in self.objects:
             if total == -math.inf:
                 return total
-            total += self.vertex_log_density(item, vertices)
+            total += self.object_log_density(item, vertices)
         return total
 
-    def vertex_log_density(self, item: TreeObject, vertices: Mapping[str, Vertex]) -> float:
+    def object_log_density(self, item: TreeObject, vertices: Mapping[str, Vertex]) -> float:
         """Return the log density of one object's parent, shape parameters and contact, given those before it."""
         vertex = vertices[item.name]
-        if isinstance(item.parent, Categorical):
-            total = item.parent.log_density(vertex.parent)
-        else:
-            total = 0.0 if vertex.parent == item.parent else -math.inf
-        if total == -math.inf or not item.shape.matches(vertex) or tuple(vertex.supports) != item.supports:
+        if vertex.parent not in item.parents or tuple(vertex.supports) != item.supports:
             return -math.inf
-        shape, top = seat(vertices, vertex.parent)
-        return (
-            total + item.shape.log_density(vertex) + item.contact.log_density(vertex.contact, shape, vertex.shape, top)
-        )
+        total = item.parent.log_density(vertex.parent) if isinstance(item.parent, Categorical) else 0.0
+        return total + vertex_log_density(item.shape, item.contact, vertices, item.name)
 
     def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
@@ -354,6 +332,15 @@ def seat(vertices: Mapping[str, Vertex], parent: str) -> tuple[str, str | None]:
         return "frame", None
     vertex = vertices[parent]
     return vertex.shape, top_face(vertex.shape, vertex.contact.type, vertex.contact.child_face)
+
+
+def vertex_log_density(shape: ShapePrior, contact: ContactPrior, vertices: Mapping[str, Vertex], name: str) -> float:
+    """Return the log density of one object's shape parameters and contact, given its parent; -inf of another shape."""
+    vertex = vertices[name]
+    if not shape.matches(vertex):
+        return -math.inf
+    parent_shape, top = seat(vertices, vertex.parent)
+    return shape.log_density(vertex) + contact.log_density(vertex.contact, parent_shape, vertex.shape, top)
 
 
 def vertex_addresses(

@@ -62,7 +62,7 @@ class Vocabulary:
 
         self.prior = prior
         self.shapes: Mapping[str, ShapePrior] = prior.shapes
-        self.base = frozenset(prior.tree.by_name if isinstance(prior, GrammarPrior) else ())
+        self.base = frozenset(prior.tree.by_name)
         self.proposal = PriorProposal() if proposal is None else proposal
         self._equal = Categorical(dict.fromkeys(self.shapes, 1.0))
         self.table = lru_cache(maxsize=4096)(self._table)
@@ -77,10 +77,6 @@ class Vocabulary:
         parents = {vertex.parent for vertex in graph.vertices}
         return tuple(name for name in self.grown(graph) if name not in parents)
 
-    def kind_of(self, vertex: Vertex) -> str:
-        """Return the kind of a grown vertex."""
-        return next(kind for kind, entry in self.shapes.items() if entry.matches(vertex))
-
     def seat(self, graph: SceneGraph, parent: str) -> tuple[str, str | None]:
         """Return the shape type and the upward face of a parent."""
         return seat({parent: graph.vertex(parent)} if parent != ROOT else {}, parent)
@@ -93,8 +89,8 @@ class Vocabulary:
         """Return the prior of the kind of an object that grows on `parent`; None where nothing can."""
         if isinstance(self.prior, Algorithm1Prior):
             return self._equal if parent == ROOT or graph.vertex(parent).parent == ROOT else None
-        kind = parent if parent == ROOT or parent in self.base else self.kind_of(graph.vertex(parent))
-        if kind not in self.prior.offspring:
+        kind = parent if parent == ROOT or parent in self.base else self.prior.kind_of(graph.vertex(parent))
+        if kind is None or kind not in self.prior.offspring:
             return None
         return self.prior.kinds(*self.seat(graph, parent))
 

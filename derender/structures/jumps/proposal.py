@@ -41,7 +41,7 @@ class PriorProposal:
         bearers = words.bearers(graph)
         if vertex.parent not in bearers:
             return -math.inf
-        kind = words.kind_of(vertex)
+        kind = words.prior.kind_of(vertex)
         shape, top = words.seat(graph, vertex.parent)
         return (
             -math.log(len(bearers))
@@ -162,7 +162,7 @@ class HypothesisProposal:
         prior = self.fallback.log_density(words, graph, vertex)
         if not components:
             return prior
-        kind = words.kind_of(vertex)
+        kind = words.prior.kind_of(vertex)
         choice = (vertex.contact.type, vertex.contact.parent_face, vertex.contact.child_face)
         values = {**vertex.contact.values, **{f"shape.{key}": x for key, x in vertex.parameters.items()}}
         total = self.on_prior * math.exp(prior) if prior > -math.inf else 0.0

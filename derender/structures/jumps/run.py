@@ -196,8 +196,7 @@ def infer_by_jumps(
         prior = replace(prior, root=FixedRoot(root_seen(seen.floor.pose)))
     graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
     words = Vocabulary(prior)
-    tree = getattr(prior, "tree", None)  # of what is always there
-    always = () if tree is None else tuple(tree.sample_vertices(rng).values())
+    always = tuple(prior.tree.sample_vertices(rng).values())
     start = start_graph(words, SceneGraph(root_pose_near(prior.root, seen.floor.pose), always), graph)
     likelihood, values = _likelihood_of(said, seen, depth)
     draws, chains = options.draws or DRAWS, options.chains or CHAINS
