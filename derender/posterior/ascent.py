@@ -23,7 +23,7 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.evaluate import put_all
 from derender.posterior.compiled.model import NotCompiled, chain_of, model_of
-from derender.posterior.kernels.base import first_tuning, mixture, rescale
+from derender.posterior.kernels.base import first_tuning, mixture
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import MOTION, cost, new_misfit, normal_equations
 from derender.render.raycast.state import SIGMA
@@ -158,7 +158,7 @@ class Ascent(NamedTuple):
 COLDER = tuple(2.0 ** np.arange(0.0, 10.0, 0.5))  # what the likelihood is raised to, one after the other
 ROBUST = 8.0  # nats at which a pixel counts as an outlier, where some may be
 DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
-COLD_STEPS, GAIN = 100, 3.0  # at each, of each block of unknowns; of their scales for a rate wrong by 1
+COLD_STEPS, GAIN = 100, 0.1  # at each, of each block of unknowns; of their scales, at each step
 
 
 class MapProblem:
@@ -289,9 +289,9 @@ def cooled(rng: np.random.Generator, target: Any, values: np.ndarray) -> np.ndar
     backend, tuning = backend_of(target, parts), first_tuning(target.space, values)
     best, density = np.array(values, np.float64), sum(backend.evaluate(values))
     for cold in COLDER:
-        stretch = backend.sweep(rng, best, tuning._replace(temperature=cold), COLD_STEPS * len(parts), 1)
+        stretch = backend.sweep(rng, best, tuning._replace(temperature=cold), COLD_STEPS * len(parts), 1, GAIN)
         found = stretch.densities.sum(axis=1)
         if found.max() > density:
             best, density = stretch.values[found.argmax()], found.max()
-        tuning = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, GAIN))
+        tuning = tuning._replace(scale=stretch.scale)
     return best

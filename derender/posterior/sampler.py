@@ -11,7 +11,6 @@ that end highest are followed. Steps and an archive of places are fitted to them
 and only the scales of their steps adapt in their warm-up.
 """
 
-import json
 import math
 from collections.abc import Mapping
 from copy import copy
@@ -24,10 +23,10 @@ import numpy as np
 from derender.compilation.threads import in_threads
 from derender.errors import DerenderError
 from derender.posterior.compiled.backend import Backend, backend_of
-from derender.posterior.compiled.prior import Stretch
-from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, rescale
+from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, steps_of
 from derender.posterior.space import Space
 from derender.sampling.chains import Segment
+from derender.sampling.metropolis import adapted_scale, mean_scale
 from derender.scene.priors.terms import MOST_TRIES
 
 KEYS = ("kernels", "thin", "particles", "population", "chains", "draws", "warmup")
@@ -81,7 +80,7 @@ class Walk(NamedTuple):
 
     later: np.ndarray  # (n, P), the places of its later half
     height: float  # mean log posterior density there
-    scale: Mapping[str, float]  # to which it adapted
+    scale: np.ndarray  # (K,), to which its steps' adapted
 
 
 @dataclass(eq=False)
@@ -120,10 +119,9 @@ class MixtureSampler:
             if number > len(STAGES) and rise < ARRIVED:
                 break
             tuning = tuning._replace(temperature=temperature)
-            walks = in_threads(rng, [partial(self.walked, values=one, tuning=tuning, rounds=rounds) for one in starts])
-            names = dict.fromkeys(name for walk in walks for name in walk.scale)  # some have not come to each kernel
-            means = {name: float(np.exp(np.mean([np.log(walk.scale.get(name, 1.0)) for walk in walks])))
-                     for name in names}  # fmt: skip
+            walks = in_threads(
+                rng, [partial(self.walked, values=one, tuning=tuning, rounds=rounds, gain=GAIN) for one in starts]
+            )
             if number < len(STAGES):
                 met = np.concatenate([walk.later for walk in walks])
                 borrowed = np.concatenate([spread_out(met, BORROWED), borrowed])[:MOST_BORROWED]
@@ -135,7 +133,8 @@ class MixtureSampler:
                 rise = height - former
                 places = np.concatenate([places[len(places) // 2 :], *(walk.later for walk in kept)])
             starts = np.array([walk.later[-1] for walk in walks])
-            tuning = fitted_to(space, tuning._replace(scale=means), places, borrowed)
+            tuning = tuning._replace(scale=mean_scale([walk.scale for walk in walks]))
+            tuning = fitted_to(space, tuning, places, borrowed)
         prepared.places, prepared.learned = np.concatenate([walk.later for walk in kept]), tuning
         return prepared
 
@@ -158,16 +157,12 @@ class MixtureSampler:
         values, weights = np.concatenate([each.values for each in found]), np.exp(logs - logs.max())
         return values[rng.permutation(systematic(rng, np.repeat(weights, self.population)))]
 
-    def walked(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, rounds: int) -> Walk:
+    def walked(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, rounds: int, gain: float) -> Walk:
         """Return the Walk of so many rounds, in which the scales of its steps adapt."""
-        backend, met, scale = self.backend(), list[Stretch](), tuning.scale
-        for turn in range(0, rounds, STRETCH):
-            met.append(backend.sweep(rng, values, tuning._replace(scale=scale), min(STRETCH, rounds - turn), self.thin))
-            values, gain = met[-1].values[-1], 3.0 / math.sqrt(1.0 + turn / STRETCH)
-            scale = rescale(scale, self.parts, met[-1].counts, gain)
-        densities = np.concatenate([one.densities for one in met])[rounds // 2 :]
-        later = np.concatenate([one.values for one in met])[rounds // 2 :]
-        return Walk(later, float(densities.sum(axis=1).mean()), scale)
+        stretch = self.backend().sweep(rng, values, tuning, rounds, self.thin, gain)
+        later = rounds // 2
+        height = float(stretch.densities[later:].sum(axis=1).mean())
+        return Walk(stretch.values[later:], height, stretch.scale)
 
     def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         assert self.places is not None and self.learned is not None, "prepared first"
@@ -178,7 +173,7 @@ class MixtureSampler:
         self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
     ) -> dict[str, np.ndarray]:
         values, tuning, counts = _unpack(state)
-        walk = self.walked(rng, values, tuning, rounds)
+        walk = self.walked(rng, values, tuning, rounds, LAST_GAIN)
         return _pack(walk.later[-1], tuning._replace(scale=walk.scale), counts)
 
     def advance(
@@ -203,21 +198,22 @@ def _pack(values: np.ndarray, tuning: Tuning, counts: np.ndarray) -> dict[str, n
         "values": values,
         "mean": tuning.mean,
         "covariance": tuning.covariance,
-        "scale": np.frombuffer(json.dumps(dict(tuning.scale)).encode(), np.uint8),
+        "scale": np.ones(len(counts)) if tuning.scale is None else tuning.scale,
         "archive": tuning.places,
         "counts": counts,
     }
 
 
 def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray]:
-    scale = json.loads(bytes(state["scale"]))
-    tuning = Tuning(state["mean"], state["covariance"], scale, archive=state["archive"])
+    tuning = Tuning(state["mean"], state["covariance"], state["scale"], archive=state["archive"])
     return state["values"], tuning, state["counts"]
 
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
 ROUNDING = 1e-6  # of log densities
-GAIN = 2.0  # change of a log scale for an acceptance rate wrong by 1, at each stage
+# Change of a log scale for an acceptance rate wrong by 1: at each stage of a population, of so many steps or more; and
+# at each step of a walk that looks for the mode, and of a chain's warm-up.
+STAGE_GAIN, FULL, GAIN, LAST_GAIN = 2.0, 20, 0.1, 0.03
 LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
 BISECTIONS = 60  # halve [present, 1] to below the spacing of floating point numbers
 
@@ -310,6 +306,7 @@ def tempered(
     """
     values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
     tuning, present = first_tuning(space, values[0]), 0.0
+    scale, wanted = steps_of(parts, tuning)[1:3]
     while present < 1.0:
         gain = densities[:, 1]
         following = next_temperature(gain, present, share * particles / len(gain))
@@ -321,13 +318,16 @@ def tempered(
         if len(gain) > particles:  # from many draws to the population
             chosen = chosen[rng.permutation(len(gain))[:particles]]
         values, densities, present = values[chosen], densities[chosen], following
-        tuning = tuning._replace(temperature=present)
+        tuning = tuning._replace(temperature=present, scale=scale)
         counts = np.zeros((len(parts), 2), np.int64)
         for n in range(particles):
             stretch = backend.sweep(rng, values[n], tuning, 1, steps)
             values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
             counts += stretch.counts
-        tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, GAIN))
+        for k, (taken, accepted) in enumerate(counts.tolist()):  # fixed while particles move, which keeps the posterior
+            if taken and wanted[k] > 0.0:
+                trust = min(1.0, taken / FULL)
+                scale[k] = adapted_scale(scale[k], accepted / taken, wanted[k], STAGE_GAIN * trust)
     return Population(values, densities, log_evidence)
 
 
@@ -339,7 +339,6 @@ SHARE = 0.25  # of a starting population that a stage leaves: more particles and
 STAGES = ((1.0, 20), *((0.1, 10), (0.3, 10), (1.0, 40)) * 4)
 # And further ones, at most so many: until their mean log density rises by fewer nats from one to the next.
 ARRIVING, MOST_ARRIVING, ARRIVED = (1.0, 80), 6, 3.0
-STRETCH = 5  # rounds between two adaptations of scales
 POPULATIONS, WALKS = 4, 8  # counts
 KEPT, BORROWED, MOST_BORROWED = 144, 16, 160  # places that an archive keeps: last ones; of each stage, and of all
 ENOUGH = 20  # places from which on their spread says more than the prior's

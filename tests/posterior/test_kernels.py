@@ -32,7 +32,7 @@ def tuning(space, temperature=1.0):
         if unknown.distribution.size == 4:
             centre[space.offsets[i] : space.offsets[i] + 4] = (1.0, 0.0, 0.0, 0.0)
     archive = np.array([space.sample(rng) for _ in range(30)])
-    return Tuning(centre, covariance, {}, temperature, archive)
+    return Tuning(centre, covariance, None, temperature, archive)
 
 
 def maker(type_name, twin=None, temperature=1.0):

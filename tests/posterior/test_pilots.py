@@ -60,18 +60,18 @@ def test_the_tower_in_the_image_is_found(seed):
 
 
 def test_a_walk_that_never_came_to_a_kernel_leaves_its_steps_as_they_were(monkeypatch):
-    """Of many kernels a short walk tries some alone: with 18 cartons of known size inference ended in a KeyError."""
+    """Of many kernels a short walk tries some alone: the scale is the geometric mean over all walks."""
 
-    def walked(self, rng, values, tuning, rounds, taken=0):
-        came = {"drift a.contact": 4.0} if values[0] > 0.0 else {}
-        return Walk(np.tile(values, (rounds, 1)), 0.0, {**tuning.scale, **came})
+    def walked(self, rng, values, tuning, rounds, gain):
+        before = np.ones(1) if tuning.scale is None else tuning.scale
+        return Walk(np.tile(values, (rounds, 1)), 0.0, np.full(1, 4.0) if values[0] > 0.0 else before)
 
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
     monkeypatch.setattr(MixtureSampler, "walked", walked)
     places = np.array([[-0.6], [0.6]])
     learned = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), places=places).prepared(0).learned
-    assert 1.0 < learned.scale["drift a.contact"] <= 4.0
+    assert 1.0 < learned.scale[0] <= 4.0
 
 
 @pytest.mark.parametrize("likelier", [0, 1])
@@ -92,9 +92,9 @@ def test_walks_go_on_until_their_density_has_settled(slope, more, monkeypatch):
     """Of two decks on uneven piers a chain was kept 1,300 nats below the others, where its walk had not arrived."""
     world, counted = two_modes(), []
 
-    def rising(self, rng, values, tuning, rounds):
+    def rising(self, rng, values, tuning, rounds, gain):
         counted.append(1)
-        return sampler.Walk(np.tile(values, (rounds // 2, 1)), slope * len(counted), {})
+        return sampler.Walk(np.tile(values, (rounds // 2, 1)), slope * len(counted), np.ones(1))
 
     monkeypatch.setattr(MixtureSampler, "walked", rising)
     monkeypatch.setenv(THREADS_VARIABLE, "1")

@@ -1,4 +1,4 @@
-"""What runs a mixture on a target: the compiled sweep, without Python between the steps, or the same source by Python.
+"""What runs a mixture on a target: the compiled walk, without Python between the steps, or the same source by Python.
 
 Python runs it for models of which something has no compiled form, and takes the steps that redo the whole image.
 """
@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from derender.compilation.cache import Kernel, interpreted
-from derender.posterior.compiled.evaluate import load, sweep
+from derender.compilation.cache import Kernel, address_of, interpreted
+from derender.posterior.compiled.evaluate import attempt, load, settle
 from derender.posterior.compiled.model import (
     Calls,
     NotCompiled,
@@ -23,21 +23,21 @@ from derender.posterior.compiled.model import (
     laws_of,
     model_of,
     places_seen,
-    rescaled,
     taken_elsewhere,
 )
-from derender.posterior.compiled.prior import DENSITY, NEXT, NOW, PRIOR, Chain, Kernels, Model, Stretch
-from derender.posterior.kernels.base import PLACING, Part, Tuning, kernels
+from derender.posterior.compiled.prior import NEXT, NOW, Chain, Kernels, Model, Target
+from derender.posterior.kernels.base import PLACING, Part, Tuning, kernels, steps_of
 from derender.posterior.target import SceneTarget
+from derender.sampling.metropolis import DENSITY, PRIOR, Stretch, walk
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
 
 
 class _Programmed:
-    """What both kinds of backends keep of tunings.
+    """What both kinds of backends keep of tunings, and how they walk.
 
-    target, parts : the posterior and the mixture. elsewhere : numbers of kernels whose steps are taken between sweeps.
-    calls : what each kernel calls.
+    target, parts : the posterior and the mixture. elsewhere : numbers of kernels whose steps are taken between those of
+    a walk. calls : what each kernel calls.
     """
 
     def __init__(self, target: Any, parts: list[Part], elsewhere: frozenset[int], calls: list[Calls]) -> None:
@@ -45,27 +45,46 @@ class _Programmed:
         self._programs: dict[tuple[int, int], tuple[Tuning, Kernels]] = {}
 
     def program(self, tuning: Tuning) -> Kernels:
-        """Return the mixture's arrays under a tuning; what follows from its fit is made once, for all twins."""
+        """Return the kernels' arrays under a tuning; made once for each fit, for all twins."""
         key = id(tuning.covariance), id(tuning.archive)  # of arrays that live on in the tuning that is kept
         if key not in self._programs:
             made = kernels_of(self.target.space, self.parts, tuning, self._elsewhere, self._places(tuning), self._calls)
             self._programs[key] = tuning, made
-        return rescaled(self.target.space, self.parts, tuning, self._programs[key][1])
+        return self._programs[key][1]
 
     def _places(self, tuning: Tuning) -> Places:
         """Return the places of kernels that put objects down."""
         return {}
 
+    def _stretch(self, rng: np.random.Generator, walk: Callable, calls: np.ndarray, target: Target, tuning: Tuning,
+                 draws: int, thin: int, gain: float) -> Stretch:  # fmt: skip
+        """Return the Stretch of draws * thin steps from where a Target's chain is; every `thin`-th place is kept."""
+        steps, now, temperature = steps_of(self.parts, tuning), target.chain.values[NOW], float(tuning.temperature)
+        kept, counts, done = np.empty((draws, len(now))), np.zeros((len(self.parts), 2), np.int64), 0
+        while done < draws * thin:
+            done, k = walk(rng, calls, target, steps, now, temperature, gain, done, thin, kept, counts)
+            if k >= 0:
+                target = self._take(rng, k, steps.scale[k : k + 1], target, tuning, gain, counts[k])
+                done += 1
+                if done % thin == 0:
+                    kept[done // thin - 1] = now
+        return Stretch(kept[:, :PRIOR].copy(), kept[:, PRIOR:].copy(), counts, steps.scale)
+
+    def _take(self, rng: np.random.Generator, k: int, scale: np.ndarray, target: Target, tuning: Tuning, gain: float,
+              counts: np.ndarray) -> Target:  # fmt: skip
+        """Take a step of kernel k, whose scale (1,) and counts (2,) change in place; return the Target after it."""
+        raise NotImplementedError
+
 
 class InterpretedBackend(_Programmed):
     """Runs a mixture on any target that has a `space`, and the `log_prior` and `log_likelihood` of values (P,): the
-    compiled sweep's own source, not compiled, a few thousand steps a second.
+    compiled walk's own source, not compiled, a few thousand steps a second.
 
     Where objects are in the world it does not know: what stands on an object rides along with it, and none is put down
     anew.
 
     engine : what is asked for densities by `evaluate`; None: the target, by this backend itself.
-    replaced : functions by name, in place of those that the sweep and the proposals call by that name.
+    replaced : functions by name, in place of those that the walk and the proposals call by that name.
     """
 
     def __init__(self, target: Any, parts: list[Part], engine: Any = None, **replaced: Callable) -> None:
@@ -80,8 +99,10 @@ class InterpretedBackend(_Programmed):
             moved_size=NO_ARRAY, tangents=np.zeros((2, max(int(space.directions[-1]), 3))),
             relative=NO_ARRAY, flags=np.array([0]),
         )  # fmt: skip
-        own: dict[str, Callable] = {"call_for_number": self._call, "evaluate": _evaluate, "settle": _settle}
-        self._sweep = interpreted(sweep, **(own | replaced))
+        own: dict[str, Callable] = {"call_for_number": self._call, "call_for_nothing": self._call, **replaced}
+        self._walk = interpreted(walk, **own)
+        steps = interpreted(attempt, evaluate=_evaluate, **own), _settle
+        self._steps = np.array([self._numbered(step) for step in steps])
 
     def twin(self) -> "InterpretedBackend":
         return InterpretedBackend(self.target, self.parts, **self.replaced)
@@ -91,24 +112,25 @@ class InterpretedBackend(_Programmed):
         log_prior = self.target.log_prior(values)
         return (log_prior, self.target.log_likelihood(values)) if log_prior > -math.inf else (-math.inf, -math.inf)
 
-    def sweep(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int) -> Stretch:
-        """Take draws * thin steps from `values`; keep every `thin`-th state."""
-        return self.walked(rng, np.array([*values, *self.evaluate(values)]), tuning, draws, thin)
+    def sweep(
+        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, gain: float = 0.0
+    ) -> Stretch:
+        """Take draws * thin steps from `values`; keep every `thin`-th state. gain : of the scales' adaptation."""
+        return self.walked(rng, np.array([*values, *self.evaluate(values)]), tuning, draws, thin, gain)
 
-    def walked(self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int) -> Stretch:
+    def walked(
+        self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int, gain: float = 0.0
+    ) -> Stretch:
         """Return what `sweep` does, from (P + 2,) values with their log prior and log likelihood."""
-        size = len(state) - 2
         self._chain.values[:] = state
-        kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
-        self._sweep(rng, self._model, self.program(tuning), self._chain, self._engine, 0, draws, thin,
-                    tuning.temperature, kept, counts)  # fmt: skip
-        return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
+        target = Target(self._model, self.program(tuning), self._chain, self._engine)
+        return self._stretch(rng, self._walk, self._steps, target, tuning, draws, thin, gain)
 
     def _call(self, number: int, *arguments: Any) -> float:
         return self._called[number](*arguments)
 
     def _number_of(self, kernel: Kernel, *types: Any) -> int:
-        """Return the number by which the sweep calls a kernel, interpreted."""
+        """Return the number by which the walk calls a kernel, interpreted."""
         return self._numbered(interpreted(kernel, call_for_number=self._call, **self.replaced))
 
     def _numbered(self, function: Callable) -> int:
@@ -127,10 +149,10 @@ def _evaluate(model: Model, chain: Chain, engine: Any) -> None:
     chain.values[NEXT, PRIOR:] = engine.evaluate(chain.values[NEXT, :PRIOR].copy())
 
 
-def _settle(model: Model, chain: Chain, engine: Any, accepted: bool) -> None:
+def _settle(target: Target, accepted: bool) -> None:
     """Make the proposed values the current ones, or forget them."""
     source = NEXT if accepted else NOW
-    chain.values[1 - source] = chain.values[source]
+    target.chain.values[1 - source] = target.chain.values[source]
 
 
 class CompiledBackend(_Programmed):
@@ -192,25 +214,30 @@ class CompiledBackend(_Programmed):
         chain = Chain(*(array.copy() for array in self._blank[0]))
         return places_seen(self.target, self.parts, self.model, chain, tuning.places)
 
-    def sweep(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int) -> Stretch:
-        """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
-        program, size = self.program(tuning), len(values)
-        kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
+    def sweep(
+        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, gain: float = 0.0
+    ) -> Stretch:
+        """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state.
+
+        gain : of the scales' adaptation.
+        """
         self.load(values)
-        now = self.chain.values[NOW]
-        done, k = 0, -1
-        while done < draws * thin:
-            done, k = sweep(rng, self.model, program, self.chain, self.evaluator.state, done, draws, thin,
-                            tuning.temperature, kept, counts)  # fmt: skip
-            self._loaded = now[:size].copy()
-            if k >= 0:
-                step = self._interpreted[k].walked(rng, now.copy(), tuning, 1, 1)
-                counts[k] += step.counts[0]
-                self.load(step.values[0])
-                done += 1
-                if done % thin == 0:
-                    kept[done // thin - 1] = now
-        return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
+        target = Target(self.model, self.program(tuning), self.chain, self.evaluator.for_steps())
+        calls = np.array([address_of(attempt, rng, target, np.int64(0), 1.0, 1.0), address_of(settle, target, True)])
+        self._loaded = np.empty(0)
+        stretch = self._stretch(rng, walk, calls, target, tuning, draws, thin, gain)
+        self._loaded = stretch.values[-1]
+        return stretch
+
+    def _take(self, rng: np.random.Generator, k: int, scale: np.ndarray, target: Target, tuning: Tuning, gain: float,
+              counts: np.ndarray) -> Target:  # fmt: skip
+        now = target.chain.values[NOW].copy()
+        self._loaded = now[:PRIOR]
+        step = self._interpreted[k].walked(rng, now, tuning._replace(scale=scale), 1, 1, gain)
+        counts += step.counts[0]
+        scale[:] = step.scale
+        self.load(step.values[0])
+        return target._replace(engine=self.evaluator.for_steps())
 
 
 Backend = CompiledBackend | InterpretedBackend

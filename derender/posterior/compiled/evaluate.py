@@ -1,4 +1,4 @@
-"""The sweep: pick a kernel, propose, see what moves and where it stands then (Eq. 1), ask the engine, decide.
+"""A step of a kernel on a scene: propose, see what moves and where it stands then (Eq. 1), ask the engine, settle.
 
 One source, which numba compiles or Python runs. The engine is called from one place only, since whatever a compiled
 function calls is compiled into it again.
@@ -15,8 +15,6 @@ from derender.posterior.compiled.prior import (
     CHILD_FACE,
     CONTACT,
     CONTACT_CODE,
-    CUMULATIVE,
-    DENSITY,
     DIRTY,
     FACTOR_FIRST,
     FIRST,
@@ -39,10 +37,8 @@ from derender.posterior.compiled.prior import (
     PENDING,
     PLACE_AT,
     POSE_AT,
-    PRIOR,
     PROPOSE_AT,
     ROOT,
-    SCALE,
     SHAPES,
     SIZES,
     SLOT,
@@ -58,7 +54,7 @@ from derender.posterior.compiled.prior import (
 from derender.posterior.kernels.base import PLACING
 from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
 from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA, EngineState
-from derender.sampling.metropolis import compiled_log_threshold
+from derender.sampling.metropolis import DENSITY, PRIOR
 from derender.scene.contacts.compiled import SIX_DOF, compose, outline
 from derender.scene.polygon import area_element
 from derender.scene.solids import PLANE
@@ -191,8 +187,9 @@ def copy_marked(numbers, pose, marks, source):
 
 
 @njit(cache=True, nogil=True)
-def settle(model, chain, engine, accepted):
-    """Make the proposed values the current ones, or forget them."""
+def settle(target, accepted):
+    """Make the proposed values of a Target the current ones, or forget them."""
+    model, _, chain, engine = target
     values = chain.values
     if chain.flags[PENDING]:
         settle_in(engine, CANDIDATE if accepted else CURRENT)
@@ -241,65 +238,37 @@ ELSEWHERE = -1  # form of a kernel whose steps the caller takes
 
 
 @njit(cache=True, nogil=True)
-def pick(rng, numbers):
-    """Return the number of the next kernel, by weight."""
-    count = len(numbers)
-    threshold = rng.random() * numbers[count - 1, CUMULATIVE]
-    for k in range(count - 1):
-        if threshold < numbers[k, CUMULATIVE]:
-            return k
-    return count - 1
-
-
-@njit(cache=True, nogil=True)
-def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, kept, counts):
-    """Take draws * thin steps, of which `done` are done, and keep every `thin`-th state.
-
-    Returns early where the caller takes the next step: how many are done, and its kernel's number; else -1.
-    kept : (draws, P + 2) float64, written: values, log prior, log likelihood.
-    counts : (K, 2) int64 (steps, accepted ones), added to.
-    """
-    unknowns, laws, values = model.unknowns, model.laws, chain.values
-    size = model.places.shape[1]
-    for taken in range(done, draws * thin):
-        k = pick(rng, kernels.numbers)
-        form = kernels.table[FORM, k]
-        if form == ELSEWHERE:
-            return taken, k
-        members = kernels.members[kernels.table[FIRST, k] : kernels.table[FIRST, k + 1]]
-        factor = kernels.factors[kernels.table[FACTOR_FIRST, k] : kernels.table[FACTOR_FIRST, k + 1]]
-        keep = kernels.table[KEEP, k]
-        if form == PLACING:
-            correction = call_for_number(
-                kernels.table[PLACE_AT, k], rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
-                chain.moved_pose[0], members, factor, kernels.table[PROPOSE_AT, k]
-            )  # fmt: skip
-        else:
-            correction = call_for_number(
-                kernels.table[PROPOSE_AT, k], rng, unknowns, laws, values, chain.tangents, members, factor,
-                kernels.numbers[k, SCALE]
-            )  # fmt: skip
-        if keep >= 0 and not math.isnan(correction):
-            correction += call_for_number(
-                kernels.table[KEEP_AT, k], model.vertices, model.extents, model.places, laws, values, chain.numbers,
-                chain.pose, chain.marks, engine.parameters, chain.relative, keep, form == PLACING, chain.moved_pose[0]
-            )  # fmt: skip
-        if math.isnan(correction):
-            values[NEXT, PRIOR] = -math.inf
-        else:
-            evaluate(model, chain, engine)
-        log_ratio = -math.inf
-        if values[NEXT, PRIOR] > -math.inf:
-            log_ratio = values[NEXT, PRIOR] - values[NOW, PRIOR] + correction
-            log_ratio += temperature * (values[NEXT, DENSITY] - values[NOW, DENSITY])
-        accepted = compiled_log_threshold(rng) < log_ratio
-        settle(model, chain, engine, accepted)
-        counts[k, 0] += 1
-        counts[k, 1] += accepted
-        if (taken + 1) % thin == 0:
-            for p in range(size + 2):
-                kept[taken // thin, p] = values[NOW, p]
-    return draws * thin, -1
+def attempt(rng, target, k, scale, temperature):
+    """Return the log ratio of a step of kernel k on a Target, NaN where the caller has to take it; `settle` it then."""
+    model, kernels, chain, engine = target
+    laws, values, form = model.laws, chain.values, kernels.table[FORM, k]
+    if form == ELSEWHERE:
+        return math.nan
+    members = kernels.members[kernels.table[FIRST, k] : kernels.table[FIRST, k + 1]]
+    factor = kernels.factors[kernels.table[FACTOR_FIRST, k] : kernels.table[FACTOR_FIRST, k + 1]]
+    keep = kernels.table[KEEP, k]
+    if form == PLACING:
+        correction = call_for_number(
+            kernels.table[PLACE_AT, k], rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
+            chain.moved_pose[0], members, factor, kernels.table[PROPOSE_AT, k]
+        )  # fmt: skip
+    else:
+        correction = call_for_number(
+            kernels.table[PROPOSE_AT, k], rng, model.unknowns, laws, values, chain.tangents, members, factor,
+            kernels.reach[k] * scale
+        )  # fmt: skip
+    if keep >= 0 and not math.isnan(correction):
+        correction += call_for_number(
+            kernels.table[KEEP_AT, k], model.vertices, model.extents, model.places, laws, values, chain.numbers,
+            chain.pose, chain.marks, engine.parameters, chain.relative, keep, form == PLACING, chain.moved_pose[0]
+        )  # fmt: skip
+    if math.isnan(correction):
+        return -math.inf
+    evaluate(model, chain, engine)
+    if values[NEXT, PRIOR] == -math.inf:
+        return -math.inf
+    log_ratio = values[NEXT, PRIOR] - values[NOW, PRIOR] + correction
+    return log_ratio + temperature * (values[NEXT, DENSITY] - values[NOW, DENSITY])
 
 
 NEAR = 1e-7  # slack that rounding may leave

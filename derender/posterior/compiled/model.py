@@ -24,7 +24,6 @@ from derender.posterior.compiled.prior import (
     POSE_AT,
     ROOT,
     ROTATION,
-    SCALE,
     SHAPE,
     SHAPES,
     Chain,
@@ -260,23 +259,20 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
 
     elsewhere : numbers of the kernels whose steps the sweep leaves to its caller. places : see `places_seen`.
     """
-    table, numbers, members, factors = [], [], [], []
-    weight = 0.0
+    table, members, factors = [], [], []
     first = factor_first = 0
     for k, (part, call) in enumerate(zip(parts, calls, strict=True)):
         kind = kernels[part.type]
         told, factor = places[k] if k in places else (kind.members(space, part.block), kind.factor(space, part, tuning))
-        weight += part.weight
         form = ELSEWHERE if k in elsewhere else kind.form
         table.append((form, first, factor_first, call.vertex, call.propose, call.keep, call.place))
-        numbers.append((weight, kind.scale(space, part, tuning)))
         members += told
         factors.append(np.ravel(factor))
         first += len(told)
         factor_first += factor.size
     return Kernels(
         table=np.ascontiguousarray(np.array([*table, (0, first, factor_first, -1, 0, 0, 0)], np.int64).T),
-        numbers=np.array(numbers, float),
+        reach=np.array([kernels[part.type].reach(space, part) for part in parts]),
         members=np.array(members, np.int64),
         factors=np.concatenate(factors),
     )
@@ -324,13 +320,6 @@ def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: C
     stand_all(model, chain, np.ascontiguousarray(archive, float), np.array(list(chosen.values())).T.copy(), places)
     return {k: (told, fitted(seen, (float(model.laws[told[3], FOLD_PERIOD]), 0.0, 0.0)))
             for (k, told), seen in zip(chosen.items(), places, strict=True)}  # fmt: skip
-
-
-def rescaled(space: Space, parts: list[Part], tuning: Tuning, program: Kernels) -> Kernels:
-    """Return the arrays of a tuning that differs in its scales alone: a tenth of the time to make them anew."""
-    changed = program.numbers.copy()
-    changed[:, SCALE] = [kernels[part.type].scale(space, part, tuning) for part in parts]
-    return program._replace(numbers=changed)
 
 
 def taken_elsewhere(target: "SceneTarget", parts: list[Part]) -> frozenset[int]:

@@ -6,7 +6,7 @@ and only compiled for models with constraints.
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,7 @@ PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the d
 TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
 PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID, POSE_AT, INVERSE_AT = range(8)  # rows of Model.vertices
 FORM, FIRST, FACTOR_FIRST, KEEP, PROPOSE_AT, KEEP_AT, PLACE_AT = range(7)  # rows of Kernels.table
-CUMULATIVE, SCALE = range(2)  # columns of Kernels.numbers
 NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
-PRIOR, DENSITY = -2, -1  # the last columns of Chain.values
 SIZES, SHAPES = 7, 10  # columns of Chain.numbers where the extents and the shape's numbers begin, after the contact's
 DIRTY, KEPT, MOVED = range(3)  # rows of Chain.marks
 PENDING = 0  # entry of Chain.flags
@@ -63,7 +61,7 @@ class Kernels(NamedTuple):
     """
 
     table: np.ndarray
-    numbers: np.ndarray  # (K, 2) float64: running sum of the weights, step scale
+    reach: np.ndarray  # (K,) float64, what scales of steps are multiplied by
     members: np.ndarray
     factors: np.ndarray
 
@@ -87,12 +85,13 @@ class Chain(NamedTuple):
     flags: np.ndarray  # (1,) int64: whether a proposal is pending in the engine
 
 
-class Stretch(NamedTuple):
-    """Steps of a mixture."""
+class Target(NamedTuple):
+    """What a walk of scenes is on: the prior, the kernels, where a chain is, and its engine."""
 
-    values: np.ndarray  # (n, P)
-    densities: np.ndarray  # (n, 2), log prior and log likelihood
-    counts: np.ndarray  # (K, 2), steps and accepted ones of each kernel
+    model: Model
+    kernels: Kernels
+    chain: Chain
+    engine: Any  # EngineState; interpreted: what is asked for densities
 
 
 wrap = njit(cache=True, nogil=True)(space.wrap)

@@ -4,7 +4,7 @@ A kernel type names its proposal: a compiled function that writes the proposed v
 
     proposal(old | new) / proposal(new | old),
 
-to which the sweep adds the change of the log posterior and, where an object's children stay in the world, the log
+to which a step adds the change of the log posterior and, where an object's children stay in the world, the log
 Jacobian of their contacts; the step is accepted with probability min(1, exp(log ratio)). There is one source of each
 proposal and of the sweep: numba compiles it, and Python runs the same text where a model has no compiled form
 (`compiled/backend.py`).
@@ -34,7 +34,7 @@ from derender.posterior.compiled.prior import (
 )
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
-from derender.sampling.metropolis import adapted_scale
+from derender.sampling.metropolis import Steps
 
 STEP, PLACING = range(2)  # forms of kernels: one proposal, objects put down anew
 
@@ -47,7 +47,7 @@ class Tuning(NamedTuple):
 
     mean: np.ndarray  # (P,) float64, a typical place
     covariance: np.ndarray  # (D, D) float64, of the posterior in tangent directions around it
-    scale: Mapping[str, float]  # step scale by kernel name; 1 where a name is missing
+    scale: np.ndarray | None = None  # (K,), of the steps of a mixture's kernels; None: 1 each
     temperature: float = 1.0  # exponent on the likelihood; below 1 only while warming up or tempering
     archive: np.ndarray | None = None
 
@@ -96,8 +96,8 @@ class KernelType:
         """Return the (D, D) lower triangle that its proposal shapes normals with; empty where it needs none."""
         return np.empty(0)
 
-    def scale(self, space: Space, part: "Part", tuning: Tuning) -> float:
-        """Return the scale of its steps."""
+    def reach(self, space: Space, part: "Part") -> float:
+        """Return what the scale of its steps is multiplied by."""
         return 1.0
 
 
@@ -167,7 +167,7 @@ PRIOR_SHARE = 1e-4  # of the prior's variance, with the weight of five draws: ke
 
 def first_tuning(space: Space, values: np.ndarray) -> Tuning:
     """Return the tuning of a chain that knows only its prior: a tenth of its spread."""
-    return Tuning(values, np.diag((0.1 * space.scales) ** 2), {})
+    return Tuning(values, np.diag((0.1 * space.scales) ** 2))
 
 
 def centre_of(space: Space, history: np.ndarray) -> np.ndarray:
@@ -190,20 +190,15 @@ def covariance_of(space: Space, history: np.ndarray, centre: np.ndarray) -> np.n
     return (count * seen + 5 * PRIOR_SHARE * np.diag(space.scales**2)) / (count + 5)
 
 
-def rescale(scale: Mapping[str, float], parts: list[Part], counts: np.ndarray, gain: float) -> dict[str, float]:
-    """Return the kernels' scales after a stretch: up where more steps were accepted than wanted, down where fewer.
-
-    counts : (K, 2), steps and accepted ones in the stretch, in the order of `parts`.
-    gain : how far log scale goes for an acceptance rate that is wrong by 1.
-    """
-    scale = dict(scale)
-    for part, (steps, accepted) in zip(parts, counts.tolist(), strict=True):
-        kind = kernels[part.type]
-        if kind.adapts and steps > 0:
-            trust = min(1.0, steps / 20)
-            former = scale.get(part.name, 1.0)
-            scale[part.name] = adapted_scale(former, accepted / steps, kind.acceptance, gain * trust)
-    return scale
+def steps_of(parts: Sequence[Part], tuning: Tuning) -> Steps:
+    """Return the Steps of a mixture, with scales of their own."""
+    kinds = [kernels[part.type] for part in parts]
+    return Steps(
+        cumulative=np.cumsum([part.weight for part in parts]),
+        scale=np.ones(len(parts)) if tuning.scale is None else tuning.scale.copy(),
+        wanted=np.array([kind.acceptance if kind.adapts else 0.0 for kind in kinds]),
+        most=np.full(len(parts), np.inf),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -244,10 +239,9 @@ class DriftType(KernelType):
     def factor(self, space: Space, part: Part, tuning: Tuning) -> np.ndarray:
         return factor_of(tuning.covariance, directions_of(space, part.block))
 
-    def scale(self, space: Space, part: Part, tuning: Tuning) -> float:
+    def reach(self, space: Space, part: Part) -> float:
         # 2.4 / sqrt(D): best for a normal posterior (Roberts, Gelman, Gilks 1997)
-        size = len(directions_of(space, part.block))
-        return part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(size)
+        return part.options["scale"] * 2.4 / np.sqrt(len(directions_of(space, part.block)))
 
 
 @kernels.register("drift")

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.compilation.cache import njit
+from derender.compilation.cache import address_of, njit
 from derender.compilation.threads import in_threads
 from derender.detection.solids.beliefs import log_prior_of
 from derender.detection.solids.image import ROW
@@ -37,7 +37,7 @@ from derender.render.raycast.evaluator import engine_under
 from derender.render.raycast.state import CANDIDATE, CURRENT
 from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import Evidence, evidence
-from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
+from derender.sampling.metropolis import DENSITY, PRIOR, Steps, mean_scale, walk
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import (
     FLOOR_WAYS,
@@ -47,6 +47,7 @@ from derender.structures.draws.chart import (
     log_prior_about,
     place_rows,
     placed,
+    rows_at,
 )
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.sensor import Sensor, blurs_about, model_depth
@@ -78,11 +79,19 @@ TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is
 BLURRINGS = 20  # times in a chain that its views' blurs are drawn anew, where they are open
 
 
-class Scratch(NamedTuple):
-    """What a walk writes into: rows (N, ROW) of the solids as they are and as they are tried, poses (1 + N, 4, 4) and
-    sizes (1 + N, 3) of those that move and of the floor, their indices (1 + N,) int64, coordinates (D,) that are tried,
-    and normal numbers (D,)."""
+class Target(NamedTuple):
+    """What a walk of charts is on, and what it writes into. N solids, D coordinates.
 
+    views : Views of the floor (solid 0) and the solids, at `now` (D + 2,): coordinates, log prior, log likelihood.
+    rows, trial_rows : (N, ROW), of the solids as they are and as they are tried.
+    poses, sizes, indices : (1 + N, 4, 4), (1 + N, 3), (1 + N,) int64, of those that move and of the floor.
+    trial : (D + 2,), tried in place of `now`. normal : (D,), normal numbers.
+    """
+
+    views: Views
+    chart: Chart
+    proposals: Proposals
+    now: np.ndarray
     rows: np.ndarray
     trial_rows: np.ndarray
     poses: np.ndarray
@@ -92,92 +101,75 @@ class Scratch(NamedTuple):
     normal: np.ndarray
 
 
-def scratch_for(count: int, size: int) -> Scratch:
-    """Return the Scratch for so many solids and coordinates."""
-    rows, trial_rows, poses, sizes = map(np.empty, ((count, ROW), (count, ROW), (count + 1, 4, 4), (count + 1, 3)))
-    return Scratch(rows, trial_rows, poses, sizes, np.empty(count + 1, np.int64), np.empty(size), np.empty(size))
+def target_of(walker: "Walker", proposals: Proposals) -> Target:
+    """Return the Target of a walk from where a Walker is."""
+    chart, now = walker.chart, np.append(walker.values, walker.densities)
+    count, rows = len(chart.flags) + 1, rows_at(chart, walker.values)
+    poses, sizes, indices = np.empty((count, 4, 4)), np.empty((count, 3)), np.empty(count, np.int64)
+    return Target(walker.engine, chart, proposals, now, rows, rows.copy(), poses, sizes, indices, now.copy(),
+                  np.empty(len(now) - 2))  # fmt: skip
 
 
 @njit(cache=True, nogil=True, borrows=True)
-def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities,
-         scratch):  # fmt: skip
-    """Take `steps` Metropolis steps from `values` (D,), changed in place; keep every `thin`-th.
-
-    views : Views of the floor (solid 0) and the N solids, at `values`.
-    prior, likelihood : their logs there.
-    temperature : exponent of the likelihood. gain : of the adaptation of proposals.scale; 0: none.
-    kept : (steps // thin, D), densities : (steps // thin, 2) float64, log prior and log likelihood; written.
-    scratch : Scratch of these solids and coordinates.
-
-    Returns the number of accepted steps.
-    """
-    size = len(values)
-    rows, trial_rows, poses, sizes, indices, trial, normal = scratch
-    place_rows(chart, values, rows)
-    accepted, number = 0, len(proposals.scale)
-    for taken in range(steps):
-        threshold = rng.random() * proposals.cumulative[number - 1]
-        p = 0  # plain loops here and below: numba takes three seconds for searchsorted and for assigning arrays
-        while p < number - 1 and proposals.cumulative[p] < threshold:
-            p += 1
-        first, end = proposals.table[FIRST, p], proposals.table[FIRST, p + 1]
-        start, rank = proposals.table[FACTOR, p], proposals.table[RANK, p]
-        reach = proposals.scale[p]
-        pull, drawn = proposals.table[PULL, p], 0.0
-        if pull < 0 and rank == 1 and rng.random() < WIDE_SHARE:
-            reach *= np.exp(WIDEST * rng.random())
+def propose(rng, proposals, p, scale, values, normal, trial):
+    """Write coordinates (D,) after step p; return the log of how much likelier they are under the normal that a step
+    with a pull leaves as it is, 0 for others. normal : (>= R_p,), scratch."""
+    first, end = proposals.table[FIRST, p], proposals.table[FIRST, p + 1]
+    start, rank, pull = proposals.table[FACTOR, p], proposals.table[RANK, p], proposals.table[PULL, p]
+    reach, drawn = scale, 0.0
+    if pull < 0 and rank == 1 and rng.random() < WIDE_SHARE:
+        reach *= np.exp(WIDEST * rng.random())
+    for r in range(rank):
+        normal[r] = reach * rng.standard_normal()
+        if pull >= 0:
+            here = 0.0
+            for i in range(len(values)):
+                here += proposals.pulls[pull + r, i] * (values[i] - proposals.center[i])
+            normal[r] -= (1.0 - np.sqrt(1.0 - reach * reach)) * here
+            drawn += 0.5 * (here * here - (here + normal[r]) ** 2)
+    for i in range(len(values)):
+        trial[i] = values[i]
+    for i in range(end - first):
         for r in range(rank):
-            normal[r] = reach * rng.standard_normal()
-            if pull >= 0:
-                here = 0.0
-                for i in range(size):
-                    here += proposals.pulls[pull + r, i] * (values[i] - proposals.center[i])
-                normal[r] -= (1.0 - np.sqrt(1.0 - reach * reach)) * here
-                drawn += 0.5 * (here * here - (here + normal[r]) ** 2)
-        for i in range(size):
-            trial[i] = values[i]
-        for i in range(end - first):
-            for r in range(rank):
-                trial[proposals.members[first + i]] += proposals.factors[start + i * rank + r] * normal[r]
-        place_rows(chart, trial, trial_rows)
-        touched = proposals.touched[p]
-        new_prior = prior
-        if prior == -np.inf:
-            new_prior = log_prior(chart, trial_rows)
-        elif proposals.members[first] < size - FLOOR_WAYS:  # over a floor that moves solids stay where they are
-            new_prior += log_prior_about(chart, trial_rows, touched) - log_prior_about(chart, rows, touched)
-        taken_up = False
-        threshold = compiled_log_threshold(rng)
-        if new_prior > -np.inf:
-            camera_poses(chart, trial, trial_rows, poses, sizes)
-            moved = take_moved(touched, poses, sizes, indices)
-            new = propose_views(views, moved, indices, poses, sizes)
-            taken_up = threshold < new_prior - prior + temperature * (new - likelihood) - drawn
-            settle_views(views, CANDIDATE if taken_up else CURRENT)
-            if taken_up:
-                prior, likelihood = new_prior, new
-                for i in range(size):
-                    values[i] = trial[i]
-                rows, trial_rows = trial_rows, rows
-                accepted += 1
-        if gain > 0.0:
-            rate = 1.0 if taken_up else 0.0
-            proposals.scale[p] = compiled_adapted_scale(proposals.scale[p], rate, proposals.wanted[p], gain)
-            if pull >= 0:
-                proposals.scale[p] = min(proposals.scale[p], 1.0)
-        if (taken + 1) % thin == 0:
-            for i in range(size):
-                kept[taken // thin, i] = values[i]
-            densities[taken // thin, 0], densities[taken // thin, 1] = prior, likelihood
-    return accepted
+            trial[proposals.members[first + i]] += proposals.factors[start + i * rank + r] * normal[r]
+    return drawn
 
 
-@njit(cache=True, nogil=True)
-def walk_counted(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept,
-                 densities, scratch):  # fmt: skip
-    """As `walk`, for Python: numba gives a generator that it was handed back only where it counts references."""
-    return walk(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept,
-                densities, scratch)  # fmt: skip
+@njit(cache=True, nogil=True, borrows=True)
+def attempt(rng, target, p, scale, temperature):
+    """Return the log ratio of step p on a Target (sampling/metropolis.py); `settle` it then."""
+    views, chart, proposals, now, rows, trial_rows, poses, sizes, indices, trial, normal = target
+    prior, likelihood, touched = now[PRIOR], now[DENSITY], proposals.touched[p]
+    drawn = propose(rng, proposals, p, scale, now[:PRIOR], normal, trial)
+    place_rows(chart, trial, trial_rows)
+    new_prior = prior
+    if prior == -np.inf:
+        new_prior = log_prior(chart, trial_rows)
+    elif proposals.members[proposals.table[FIRST, p]] < len(now) - 2 - FLOOR_WAYS:
+        # over a floor that moves solids stay where they are
+        new_prior += log_prior_about(chart, trial_rows, touched) - log_prior_about(chart, rows, touched)
+    trial[PRIOR] = new_prior
+    if new_prior == -np.inf:
+        return -np.inf
+    camera_poses(chart, trial[:PRIOR], trial_rows, poses, sizes)
+    moved = take_moved(touched, poses, sizes, indices)
+    new = propose_views(views, moved, indices, poses, sizes)
+    trial[DENSITY] = new
+    return new_prior - prior + temperature * (new - likelihood) - drawn
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def settle(target, accepted):
+    """Make what was tried of a Target what there is, or forget it."""
+    if target.trial[PRIOR] == -np.inf:
+        return
+    settle_views(target.views, CANDIDATE if accepted else CURRENT)
+    if accepted:
+        for i in range(len(target.now)):
+            target.now[i] = target.trial[i]
+        for k in range(len(target.rows)):
+            for i in range(ROW):
+                target.rows[k, i] = target.trial_rows[k, i]
 
 
 @njit(cache=True, nogil=True, borrows=True)
@@ -268,13 +260,14 @@ def walker_at(engine: Views, chart: Chart, values: np.ndarray) -> Walker:
 def run(rng: np.random.Generator, walker: Walker, proposals: Proposals, temperature: float, gain: float, count: int,
         thin: int) -> Draws:  # fmt: skip
     """Return the Draws of a walk of count * thin steps; the Walker and, with a gain, the scales change in place."""
-    chart, values = walker.chart, walker.values
-    kept, densities = np.empty((count, len(values))), np.empty((count, 2))
-    scratch, at = scratch_for(len(chart.flags), len(values)), walker.densities.tolist()
-    accepted = walk_counted(rng, walker.engine, chart, values, *at, proposals, float(temperature), float(gain),
-                            count * thin, thin, kept, densities, scratch)  # fmt: skip
-    walker.densities[:] = densities[-1]
-    return Draws(kept, densities, accepted / max(count * thin, 1))
+    target = target_of(walker, proposals)
+    calls = np.array([address_of(attempt, rng, target, np.int64(0), 1.0, 1.0), address_of(settle, target, True)])
+    most = np.where(proposals.table[PULL, :-1] >= 0, 1.0, np.inf)
+    steps = Steps(proposals.cumulative, proposals.scale, proposals.wanted, most)
+    kept, counts = np.empty((count, len(target.now))), np.zeros((len(most), 2), np.int64)
+    walk(rng, calls, target, steps, target.now, float(temperature), float(gain), 0, thin, kept, counts)
+    walker.values[:], walker.densities[:] = target.now[:PRIOR], target.now[PRIOR:]
+    return Draws(kept[:, :PRIOR].copy(), kept[:, PRIOR:].copy(), float(counts[:, 1].sum()) / max(count * thin, 1))
 
 
 def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor, values: np.ndarray,
@@ -437,7 +430,7 @@ def stretch(rng: np.random.Generator, walkers: list[Walker], steps: Proposals, t
     """
     proposals = [steps._replace(scale=steps.scale.copy()) for _ in walkers]
     drawn = side_by_side(rng, walkers, proposals, temperature, gain, count, thin)
-    return steps._replace(scale=np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))), drawn
+    return steps._replace(scale=mean_scale([own.scale for own in proposals])), drawn
 
 
 def side_by_side(rng: np.random.Generator, walkers: list[Walker], proposals: list[Proposals], temperature: float,
