@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from derender.compilation.cache import njit
+
 
 def translation(x: float, y: float, z: float) -> np.ndarray:
     """Return the (4, 4) pose that shifts by (x, y, z) metres."""
@@ -153,3 +155,23 @@ def rotation_angle(first: np.ndarray, second: np.ndarray) -> float:
     """Return the angle in [0, pi] of the rotation from `first` to `second`, both (4, 4) or (3, 3)."""
     relative = np.asarray(first)[:3, :3].T @ np.asarray(second)[:3, :3]
     return float(np.linalg.norm(rotation_vector(relative)))
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def compose(first, second, out):
+    """Write the product of two rigid (4, 4) poses into `out`, which must be another array."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = first[i, 0] * second[0, j] + first[i, 1] * second[1, j] + first[i, 2] * second[2, j]
+        out[i, 3] = first[i, 0] * second[0, 3] + first[i, 1] * second[1, 3] + first[i, 2] * second[2, 3] + first[i, 3]
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def copy_placed(pose, size, to_pose, to_size):
+    """Write where a solid is, (4, 4), and its extents (3,), without what numba compiles for assigning arrays."""
+    for i in range(4):
+        for j in range(4):
+            to_pose[i, j] = pose[i, j]
+    for i in range(3):
+        to_size[i] = size[i]

@@ -55,8 +55,9 @@ from derender.posterior.kernels.base import PLACING
 from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
 from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA, EngineState
 from derender.sampling.metropolis import DENSITY, PRIOR
-from derender.scene.contacts.compiled import SIX_DOF, compose, outline
+from derender.scene.contacts.compiled import SIX_DOF, outline
 from derender.scene.polygon import area_element
+from derender.scene.pose import compose, copy_placed
 from derender.scene.solids import PLANE
 
 FREE_ROOT, FIXED_ROOT, LOOKED_AT = SIX_DOF, 100, 101  # codes of the root
@@ -140,10 +141,7 @@ def arrange(vertices, extents, numbers, pose, marks, relative, moved_pose, moved
             place(vertices, extents, numbers, pose, relative, n)
             if vertices[SOLID, n] >= 0:
                 marks[MOVED, moved] = vertices[SOLID, n]
-                for i in range(3):
-                    moved_size[moved, i] = numbers[NEXT, n, SIZES + i]
-                    for j in range(4):
-                        moved_pose[moved, i, j] = pose[NEXT, n, i, j]
+                copy_placed(pose[NEXT, n], numbers[NEXT, n, SIZES:SHAPES], moved_pose[moved], moved_size[moved])
                 moved += 1
     return moved
 

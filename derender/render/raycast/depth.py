@@ -4,7 +4,7 @@ Triangle meshes are drawn by a z-buffer in inverse depth, which is affine over e
 """
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,29 +16,34 @@ if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
 
 
-class FlatMeshes:
-    """The meshes of Solids in arrays that compiled code can take: vertices, triangles, and where each mesh starts."""
+class Meshes(NamedTuple):
+    """The meshes of Solids in arrays that compiled code can take. M of them, one after the other."""
 
-    def __init__(self, meshes: tuple[tuple[np.ndarray, np.ndarray], ...]) -> None:
-        sizes = [(len(vertices), len(triangles)) for vertices, triangles in meshes]
-        self.starts = np.zeros((len(sizes) + 1, 2), np.int64)
-        if sizes:
-            self.starts[1:] = np.cumsum(np.array(sizes, np.int64), axis=0)
-        self.vertices = np.zeros((max(self.starts[-1, 0], 1), 3))
-        self.triangles = np.zeros((max(self.starts[-1, 1], 1), 3), np.int32)
-        self.extents = np.ones((max(len(sizes), 1), 3))
-        for k, (vertices, triangles) in enumerate(meshes):
-            self.vertices[self.starts[k, 0] : self.starts[k + 1, 0]] = vertices
-            self.triangles[self.starts[k, 1] : self.starts[k + 1, 1]] = triangles
-            self.extents[k] = np.maximum(2.0 * np.abs(vertices).max(axis=0), 1e-12)
+    vertices: np.ndarray  # (V, 3) float64, object axes
+    triangles: np.ndarray  # (T, 3) int32, each counted from its mesh's first vertex
+    starts: np.ndarray  # (M + 1, 2) int64, where each mesh's vertices and triangles begin
+    extents: np.ndarray  # (M, 3) float64, as they are; solids may be drawn larger
+    points: np.ndarray  # (>= V of any, 6) float64, scratch: vertices in camera axes; column, row, inverse depth
+
+
+def flat_meshes(meshes: tuple[tuple[np.ndarray, np.ndarray], ...]) -> Meshes:
+    """Return the meshes (vertices, triangles) of Solids as Meshes."""
+    sizes = np.array([(len(vertices), len(triangles)) for vertices, triangles in meshes], np.int64).reshape(-1, 2)
+    if not meshes:  # arrays of no length have no type for what is compiled
+        return Meshes(np.zeros((1, 3)), np.zeros((1, 3), np.int32), np.zeros((1, 2), np.int64), np.ones((1, 3)),
+                      np.zeros((1, 6)))  # fmt: skip
+    vertices, triangles = (np.concatenate(arrays) for arrays in zip(*meshes, strict=True))
+    starts = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(sizes, axis=0)])
+    extents = np.array([np.maximum(2.0 * np.abs(vertices).max(axis=0), 1e-12) for vertices, _ in meshes])
+    return Meshes(vertices.astype(float), triangles.astype(np.int32), starts, extents, np.zeros((sizes[:, 0].max(), 6)))
 
 
 @njit(cache=True, nogil=True)
-def draw(calls, kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, camera, inverse, label):
+def draw(calls, kinds, poses, sizes, mesh_index, meshes, camera, inverse, label):
     """Write the greatest inverse depth (0: nothing hit) and the index of the solid hit (-1: none) of every pixel.
 
     calls (2,) int64, the addresses of `prepare_solid` and, where there are meshes, of `draw_mesh`;
-    kinds (N,) int64, poses (N, 4, 4), sizes (N, 3), mesh_index (N,) int64; the arrays of FlatMeshes;
+    kinds (N,) int64, poses (N, 4, 4), sizes (N, 3), mesh_index (N,) int64; Meshes;
     camera (4,) float64 fx, fy, cx, cy; inverse (H, W) float64 and label (H, W) int32 are written.
     """
     height, width = inverse.shape
@@ -51,23 +56,8 @@ def draw(calls, kinds, poses, sizes, mesh_index, vertices, triangles, starts, ex
         if rectangle[0] >= rectangle[1]:
             continue
         if kinds[k] == MESH:
-            m = mesh_index[k]
-            first, end = starts[m], starts[m + 1]
             buffer = np.zeros((rectangle[3], rectangle[1]))
-            call_for_nothing(
-                calls[1],
-                buffer,
-                vertices,
-                triangles,
-                first,
-                end,
-                sizes[k],
-                extents[m],
-                poses[k],
-                camera,
-                rectangle,
-                np.empty((end[0] - first[0], 3)),
-            )
+            call_for_nothing(calls[1], buffer, meshes, mesh_index[k], sizes[k], poses[k], camera, rectangle)
             for row in range(rectangle[2], rectangle[3]):
                 for column in range(rectangle[0], rectangle[1]):
                     if buffer[row, column] > inverse[row, column]:
@@ -88,12 +78,12 @@ def bound_address() -> int:
     return address_of(prepare_solid, index, pose, size, bounds, index, index, bounds, rectangle)
 
 
-def rasterise_address(vertices: np.ndarray, triangles: np.ndarray, starts: np.ndarray, buffer: np.ndarray) -> int:
-    """Return the address of `draw_mesh` for FlatMeshes' arrays and an image of inverse depths; 0 without meshes."""
-    if len(starts) == 1:
+def rasterise_address(meshes: Meshes, buffer: np.ndarray) -> int:
+    """Return the address of `draw_mesh` for Meshes and an image of inverse depths; 0 without meshes."""
+    if len(meshes.starts) == 1:
         return 0
-    pose, size, first, points = np.eye(4), np.ones(3), starts[0], np.zeros((1, 3))
-    return address_of(draw_mesh, buffer, vertices, triangles, first, first, size, size, pose, size, first, points)
+    pose, size, rectangle = np.eye(4), np.ones(3), np.zeros(4, np.int64)
+    return address_of(draw_mesh, buffer, meshes, np.int64(0), size, pose, size, rectangle)
 
 
 def camera_array(camera: "Camera") -> np.ndarray:
@@ -128,17 +118,14 @@ def render_depth(
     height, width = camera.height * n, camera.width * n
     inverse = np.zeros((height, width))
     label = np.zeros((height, width), np.int32)
-    meshes = FlatMeshes(solids.meshes)
+    meshes = flat_meshes(solids.meshes)
     draw(
-        np.array([bound_address(), rasterise_address(meshes.vertices, meshes.triangles, meshes.starts, inverse)]),
+        np.array([bound_address(), rasterise_address(meshes, inverse)]),
         np.ascontiguousarray(solids.kind, np.int64),
         np.ascontiguousarray(solids.pose, np.float64),
         np.ascontiguousarray(solids.size, np.float64),
         np.ascontiguousarray(solids.mesh, np.int64),
-        meshes.vertices,
-        meshes.triangles,
-        meshes.starts,
-        meshes.extents,
+        meshes,
         intrinsics,
         inverse,
         label,
@@ -161,17 +148,23 @@ def render_depth(
 NEAR = 1e-4  # metres: triangles are cut here so that they can be projected
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def fill_triangle(buffer, x0, y0, w0, x1, y1, w1, x2, y2, w2, first_column, end_column, first_row, end_row):
-    """Raise `buffer` to the inverse depth of one projected triangle inside the rectangle (either winding)."""
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
+def fill_triangle(buffer, first, second, third, left, right, top, bottom):
+    """Raise `buffer` to the inverse depth of a triangle in columns left:right and rows top:bottom (either winding).
+
+    first, second, third : (>= 3,) float64 each: column, row, inverse depth of a corner.
+    """
+    x0, y0, w0 = first[0], first[1], first[2]
+    x1, y1, w1 = second[0], second[1], second[2]
+    x2, y2, w2 = third[0], third[1], third[2]
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if area == 0.0 or not math.isfinite(area):
         return
-    left = max(math.ceil(min(x0, x1, x2) - 1e-9), float(first_column))
-    right = min(math.floor(max(x0, x1, x2) + 1e-9), float(end_column - 1))
-    top = max(math.ceil(min(y0, y1, y2) - 1e-9), float(first_row))
-    bottom = min(math.floor(max(y0, y1, y2) + 1e-9), float(end_row - 1))
-    if left > right or top > bottom:
+    begin = max(math.ceil(min(x0, x1, x2) - 1e-9), float(left))
+    end = min(math.floor(max(x0, x1, x2) + 1e-9), float(right - 1))
+    start = max(math.ceil(min(y0, y1, y2) - 1e-9), float(top))
+    stop = min(math.floor(max(y0, y1, y2) + 1e-9), float(bottom - 1))
+    if begin > end or start > stop:
         return
     scale = 1.0 / area
     # barycentric coordinates are affine in the pixel: value at (x2, y2)-anchored origin and the two slopes
@@ -179,14 +172,14 @@ def fill_triangle(buffer, x0, y0, w0, x1, y1, w1, x2, y2, w2, first_column, end_
     slope_1x, slope_1y = (y2 - y0) * scale, (x0 - x2) * scale
     slope_x = slope_0x * (w0 - w2) + slope_1x * (w1 - w2)
     slope_y = slope_0y * (w0 - w2) + slope_1y * (w1 - w2)
-    for row in range(int(top), int(bottom) + 1):
+    for row in range(int(start), int(stop) + 1):
         dy = row - y2
-        for column in range(int(left), int(right) + 1):
+        for column in range(int(begin), int(end) + 1):
             dx = column - x2
-            first = slope_0x * dx + slope_0y * dy
-            second = slope_1x * dx + slope_1y * dy
+            one = slope_0x * dx + slope_0y * dy
+            other = slope_1x * dx + slope_1y * dy
             # a hair inside out, so that no crack opens between neighbours that share an edge
-            if first >= -1e-9 and second >= -1e-9 and first + second <= 1.0 + 1e-9:
+            if one >= -1e-9 and other >= -1e-9 and one + other <= 1.0 + 1e-9:
                 value = w2 + slope_x * dx + slope_y * dy
                 if value > buffer[row, column]:
                     buffer[row, column] = value
@@ -214,64 +207,37 @@ def _fill_clipped(buffer, points, triangle, camera, rectangle):
         polygon[k, 0] = camera[0] * polygon[k, 0] * inverse + camera[2]
         polygon[k, 1] = camera[1] * polygon[k, 1] * inverse + camera[3]
         polygon[k, 2] = inverse
+    left, right, top, bottom = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for k in range(2, count):
-        fill_triangle(
-            buffer,
-            polygon[0, 0],
-            polygon[0, 1],
-            polygon[0, 2],
-            polygon[k - 1, 0],
-            polygon[k - 1, 1],
-            polygon[k - 1, 2],
-            polygon[k, 0],
-            polygon[k, 1],
-            polygon[k, 2],
-            rectangle[0],
-            rectangle[1],
-            rectangle[2],
-            rectangle[3],
-        )
+        fill_triangle(buffer, polygon[0], polygon[k - 1], polygon[k], left, right, top, bottom)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def draw_mesh(buffer, vertices, triangles, first, end, size, extents, pose, camera, rectangle, points):
+def draw_mesh(buffer, meshes, m, size, pose, camera, rectangle):
     """Raise an inverse-depth image to a mesh's inside a rectangle.
 
     buffer : (>= rows, >= columns) float32 or float64 inverse depth, 0 or more, raised in place.
-    vertices : (V, 3) float64, object axes. triangles : (T, 3) int32: those of all meshes, one after the other.
-    first, end : (2,) int64, where this mesh's vertices and triangles start and end; triangles count from its first.
-    size, extents : (3,) float64, drawn and original extents. pose : (4, 4) float64, object to camera.
+    meshes : Meshes. m : which of them. size : (3,) float64, drawn extents. pose : (4, 4) float64, object to camera.
     camera : (>= 4,) float64, fx, fy, cx, cy, ... rectangle : (4,) int64, columns and rows to draw, ends excluded.
-    points : (>= V, 3) float64, scratch.
     """
+    vertices, triangles, points = meshes.vertices, meshes.triangles, meshes.points
+    extents, first, end = meshes.extents[m], meshes.starts[m], meshes.starts[m + 1]
     sx, sy, sz = size[0] / extents[0], size[1] / extents[1], size[2] / extents[2]
     for k in range(end[0] - first[0]):
         v = first[0] + k
         x, y, z = vertices[v, 0] * sx, vertices[v, 1] * sy, vertices[v, 2] * sz
         for axis in range(3):
             points[k, axis] = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z + pose[axis, 3]
-    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    first_column, end_column, first_row, end_row = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
+        if points[k, 2] >= NEAR:
+            inverse = 1.0 / points[k, 2]
+            points[k, 3] = camera[0] * points[k, 0] * inverse + camera[2]
+            points[k, 4] = camera[1] * points[k, 1] * inverse + camera[3]
+            points[k, 5] = inverse
+    left, right, top, bottom = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for k in range(first[1], end[1]):
-        i0, i1, i2 = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        z0, z1, z2 = points[i0, 2], points[i1, 2], points[i2, 2]
-        if z0 >= NEAR and z1 >= NEAR and z2 >= NEAR:
-            w0, w1, w2 = 1.0 / z0, 1.0 / z1, 1.0 / z2
-            fill_triangle(
-                buffer,
-                fx * points[i0, 0] * w0 + cx,
-                fy * points[i0, 1] * w0 + cy,
-                w0,
-                fx * points[i1, 0] * w1 + cx,
-                fy * points[i1, 1] * w1 + cy,
-                w1,
-                fx * points[i2, 0] * w2 + cx,
-                fy * points[i2, 1] * w2 + cy,
-                w2,
-                first_column,
-                end_column,
-                first_row,
-                end_row,
-            )
-        elif z0 >= NEAR or z1 >= NEAR or z2 >= NEAR:
+        i, j, n = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+        before = int(points[i, 2] >= NEAR) + int(points[j, 2] >= NEAR) + int(points[n, 2] >= NEAR)
+        if before == 3:
+            fill_triangle(buffer, points[i, 3:], points[j, 3:], points[n, 3:], left, right, top, bottom)
+        elif before > 0:
             _fill_clipped(buffer, points, triangles[k], camera, rectangle)

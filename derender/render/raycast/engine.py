@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import Kernel, address_of, call_for_nothing, call_for_number, njit
-from derender.render.raycast.depth import bound_address, rasterise_address
+from derender.render.raycast.depth import Meshes, bound_address, rasterise_address
 from derender.render.raycast.lane_names import LANES, blur_along_row, blur_window, load, new_window, push, store
 from derender.render.raycast.region import (
     DRAWN,
@@ -64,10 +64,12 @@ from derender.render.raycast.state import (
     STALE,
     WIDTH,
     EngineState,
+    array_by_array,
     new_state,
     set_reach,
     taps_of,
 )
+from derender.scene.pose import compose, copy_placed
 from derender.scene.solids import MESH
 
 
@@ -133,21 +135,8 @@ def _prepare(state, half, k):
         for row in range(rectangle[2], rectangle[3]):
             for column in range(rectangle[0], rectangle[1]):
                 image[row, column] = 0.0
-        mesh = state.kind[1, k]
-        call_for_nothing(
-            settings[RASTERISE],
-            image,
-            state.vertices,
-            state.triangles,
-            state.starts[mesh],
-            state.starts[mesh + 1],
-            state.size[half, k],
-            state.extents[mesh],
-            state.pose[half, k],
-            parameters,
-            rectangle,
-            state.points,
-        )
+        call_for_nothing(settings[RASTERISE], image, state.meshes, state.kind[1, k], state.size[half, k],
+                         state.pose[half, k], parameters, rectangle)  # fmt: skip
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
@@ -172,11 +161,7 @@ def load_state(state, poses, sizes):
     """
     settings, region = state.settings, state.regions[DRAWN, 0]
     for k in range(state.kind.shape[1]):
-        for i in range(4):
-            for j in range(4):
-                state.pose[CURRENT, k, i, j] = poses[k, i, j]
-        for i in range(3):
-            state.size[CURRENT, k, i] = sizes[k, i]
+        copy_placed(poses[k], sizes[k], state.pose[CURRENT, k], state.size[CURRENT, k])
         _prepare(state, CURRENT, k)
     settings[PENDING], settings[REGIONS] = 0, 0
     whole_image(settings, region)
@@ -201,12 +186,9 @@ def _copy_pixels(images, source, target, left, right, top, bottom):
 def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
     """Copy what is known of solid k from one half to the other."""
     target = 1 - source
+    copy_placed(pose[source, k], size[source, k], pose[target, k], size[target, k])
     for i in range(4):
-        for j in range(4):
-            pose[target, k, i, j] = pose[source, k, i, j]
         rectangle[target, k, i] = rectangle[source, k, i]
-    for i in range(3):
-        size[target, k, i] = size[source, k, i]
     for i in range(prepared.shape[2]):
         prepared[target, k, i] = prepared[source, k, i]
     if kind[0, k] == MESH:
@@ -235,11 +217,7 @@ def propose_state(state, count, indices, poses, sizes):
     for n in range(count):
         k = indices[n]
         state.lists[0, n] = k
-        for i in range(4):
-            for j in range(4):
-                pose[CANDIDATE, k, i, j] = poses[n, i, j]
-        for i in range(3):
-            size[CANDIDATE, k, i] = sizes[n, i]
+        copy_placed(poses[n], sizes[n], pose[CANDIDATE, k], size[CANDIDATE, k])
         _prepare(state, CANDIDATE, k)
         add_region(settings, regions, rectangle[CURRENT, k])
         add_region(settings, regions, rectangle[CANDIDATE, k])
@@ -293,8 +271,7 @@ def new_engine(*image: Any) -> EngineState:
     """
     state = new_state(*image)
     settings, images, index = state.settings, state.images, CURRENT
-    meshes = state.vertices, state.triangles, state.starts
-    settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(*meshes, images[0])
+    settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(state.meshes, images[0])
     settings[DRAW] = address_of(
         draw_region,
         settings,
@@ -370,7 +347,7 @@ def make_views(states: Sequence[EngineState], into: np.ndarray) -> Views:
 
     Several engines are copied: `engine_of_view` returns those that the views work on.
     """
-    engines = EngineState(*(_stacked(arrays) for arrays in zip(*states, strict=True)))
+    engines = array_by_array(_stacked, *states)
     into = np.ascontiguousarray(into, np.float64)
     elsewhere = np.any(into != np.eye(4), axis=(1, 2))
     views = Views(engines, into, elsewhere, np.zeros(states[0].pose.shape[1:]))
@@ -381,10 +358,10 @@ def make_views(states: Sequence[EngineState], into: np.ndarray) -> Views:
 
 def engine_of_view(views: Views, view: int) -> EngineState:
     """Return the engine of one view, which shares its arrays with the Views."""
-    return EngineState(*(array[view] for array in views.engines))
+    return array_by_array(lambda arrays: arrays[view], views.engines)
 
 
-def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
+def _stacked(*arrays: np.ndarray) -> np.ndarray:
     """Return arrays of one type one behind the other, each at the beginning of its place, the rest 0."""
     if len(arrays) == 1:
         return np.ascontiguousarray(arrays[0])[None]
@@ -397,12 +374,13 @@ def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @njit(inline="always", borrows=True)
 def _engine(engines, view):
+    meshes = engines.meshes
     return EngineState(
         engines.settings[view], engines.parameters[view], engines.total[view], engines.taps[view],
         engines.images[view], engines.kind[view], engines.pose[view], engines.size[view],
         engines.prepared[view], engines.rectangle[view], engines.lists[view], engines.regions[view],
-        engines.vertices[view], engines.triangles[view], engines.starts[view], engines.extents[view],
-        engines.points[view],
+        Meshes(meshes.vertices[view], meshes.triangles[view], meshes.starts[view], meshes.extents[view],
+               meshes.points[view]),
     )  # fmt: skip
 
 
@@ -420,11 +398,7 @@ def propose_views(views, count, indices, poses, sizes):
             total += propose_in(engine, count, indices, poses, sizes)
             continue
         for n in range(count):
-            for i in range(4):
-                for j in range(4):
-                    moved[n, i, j] = 0.0
-                    for k in range(4):
-                        moved[n, i, j] += into[i, k] * poses[n, k, j]
+            compose(into, poses[n], moved[n])
         total += propose_in(engine, count, indices, moved, sizes)
     return total
 

@@ -10,7 +10,7 @@ from derender.errors import DerenderError
 from derender.render.likelihoods import Likelihood, likelihoods
 from derender.render.raycast.engine import for_steps, load_state, new_engine, rescore_state, with_blur
 from derender.render.raycast.region import pixel_log_densities
-from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState
+from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState, array_by_array
 from derender.scene.solids import Solids
 
 
@@ -62,7 +62,7 @@ class DepthEvaluator:
         """Return another evaluator of the same image that goes on from here: cheaper than a new one."""
         other = copy(self)
         if self.state is not None:
-            other.state = EngineState(*(array.copy() for array in self.state))
+            other.state = array_by_array(np.copy, self.state)
         return other
 
     @classmethod

@@ -145,28 +145,10 @@ def steps_from(builder, start):
     return builder.fadd(_splat(builder, builder.sitofp(start, ir.FloatType())), ramp)
 
 
-@_emitted(float_lanes, float_lanes)
-def add(builder, a, b):
-    """a + b."""
-    return builder.fadd(a, b)
-
-
-@_emitted(float_lanes, float_lanes)
-def subtract(builder, a, b):
-    """a - b."""
-    return builder.fsub(a, b)
-
-
-@_emitted(float_lanes, float_lanes)
-def multiply(builder, a, b):
-    """a b."""
-    return builder.fmul(a, b)
-
-
-@_emitted(float_lanes, float_lanes)
-def divide(builder, a, b):
-    """a / b."""
-    return builder.fdiv(a, b)
+add = _emitted(float_lanes, float_lanes)(lambda builder, a, b: builder.fadd(a, b))
+subtract = _emitted(float_lanes, float_lanes)(lambda builder, a, b: builder.fsub(a, b))
+multiply = _emitted(float_lanes, float_lanes)(lambda builder, a, b: builder.fmul(a, b))
+divide = _emitted(float_lanes, float_lanes)(lambda builder, a, b: builder.fdiv(a, b))
 
 
 @_emitted(float_lanes, float_lanes)

@@ -4,13 +4,14 @@ Wherever the first axis is CURRENT / CANDIDATE, the current half is the accepted
 outside the regions of a pending proposal.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.render.blur import blur_taps
 from derender.render.raycast.convex import PREPARED
-from derender.render.raycast.depth import FlatMeshes, camera_array
+from derender.render.raycast.depth import Meshes, camera_array, flat_meshes
 from derender.render.raycast.lane_names import LANES
 from derender.scene.solids import MESH, Solids
 
@@ -63,11 +64,14 @@ class EngineState(NamedTuple):
     rectangle: np.ndarray  # (2, N, 4) int64
     lists: np.ndarray  # (2, N) int64: solids moved by the proposal; scratch
     regions: np.ndarray
-    vertices: np.ndarray  # FlatMeshes' arrays, and scratch
-    triangles: np.ndarray  # FlatMeshes' arrays, and scratch
-    starts: np.ndarray  # FlatMeshes' arrays, and scratch
-    extents: np.ndarray  # FlatMeshes' arrays, and scratch
-    points: np.ndarray  # FlatMeshes' arrays, and scratch
+    meshes: Meshes
+
+
+def array_by_array(function: Callable[..., np.ndarray], *states: Any) -> Any:
+    """Return a state whose arrays are what a function makes of those of some states, tuples in tuples alike."""
+    made = [array_by_array(function, *parts) if isinstance(parts[0], tuple) else function(*parts)
+            for parts in zip(*states, strict=True)]  # fmt: skip
+    return type(states[0])(*made)
 
 
 PAD = LANES  # columns of padding before pixel 0: more than any blur radius allowed here
@@ -112,7 +116,6 @@ def new_state(
     count = len(solids.kind)
     missing = np.nan if kind == GAUSSIAN else 0.0
     seen = np.isfinite(observed) & (observed > 0 if kind == GAUSSIAN else observed != 0)
-    meshes = FlatMeshes(solids.meshes)
     is_mesh = np.asarray(solids.kind) == MESH
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
     last = MESHES + 2 * int(is_mesh.sum())
@@ -130,7 +133,6 @@ def new_state(
     settings = np.zeros(16, np.int64)
     settings[WIDTH], settings[HEIGHT], settings[LIKELIHOOD] = width, height, kind
     set_reach(settings, len(taps) - 1)
-    most = int(np.diff(meshes.starts[:, 0]).max(initial=1))
     return EngineState(
         settings=settings,
         parameters=numbers,
@@ -144,9 +146,5 @@ def new_state(
         rectangle=np.zeros((2, count, 4), np.int64),
         lists=np.zeros((2, count), np.int64),
         regions=np.zeros((2, 2 * count + 1, 4), np.int64),
-        vertices=meshes.vertices,
-        triangles=meshes.triangles,
-        starts=meshes.starts,
-        extents=meshes.extents,
-        points=np.zeros((most, 3)),
+        meshes=flat_meshes(solids.meshes),
     )

@@ -192,13 +192,3 @@ def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_fac
             square += (turned[i, j] - q[3 * i + j]) ** 2
     angle = 2.0 * math.asin(min(1.0, math.sqrt(square / 8.0)))
     return outside, angle if angle > 1e-12 else 0.0
-
-
-@njit(cache=True, nogil=True)
-def compose(first, second, out):
-    """Write the product of two rigid (4, 4) poses into `out`, which must be another array."""
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = first[i, 0] * second[0, j] + first[i, 1] * second[1, j] + first[i, 2] * second[2, j]
-        out[i, 3] = first[i, 0] * second[0, 3] + first[i, 1] * second[1, 3] + first[i, 2] * second[2, 3] + first[i, 3]
-    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0

@@ -22,6 +22,7 @@ from derender.render.raycast.engine import Views, engine_of_view, propose_in, se
 from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED
 from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH, EngineState
+from derender.scene.pose import compose
 from derender.structures.draws.chart import (
     FLOOR_WAYS,
     HELD,
@@ -129,11 +130,7 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
             for k in range(count + 1):
                 if touched[n, k]:
                     indices[moved] = k
-                    for i in range(4):
-                        for j in range(4):
-                            seen[moved, i, j] = 0.0
-                            for m in range(4):
-                                seen[moved, i, j] += into[i, m] * poses[k, m, j]
+                    compose(into, poses[k], seen[moved])
                     for i in range(3):
                         sizes[moved, i] = sizes[k, i]
                     moved += 1

@@ -38,6 +38,7 @@ from derender.render.raycast.state import CANDIDATE, CURRENT
 from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import Evidence, evidence
 from derender.sampling.metropolis import DENSITY, PRIOR, Steps, mean_scale, walk
+from derender.scene.pose import copy_placed
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import (
     FLOOR_WAYS,
@@ -179,11 +180,7 @@ def take_moved(touched, poses, sizes, indices):
     for k in range(len(touched)):
         if touched[k]:
             indices[moved] = k
-            for i in range(4):
-                for j in range(4):
-                    poses[moved, i, j] = poses[k, i, j]
-            for i in range(3):
-                sizes[moved, i] = sizes[k, i]
+            copy_placed(poses[k], sizes[k], poses[moved], sizes[moved])
             moved += 1
     return moved
 

@@ -389,8 +389,7 @@ def rasterise(triangles, points, i0, i1, j0, j1, buffer):
             (points[c, 0] - points[a, 0]) * (points[b, 1] - points[a, 1])
         ):
             continue  # it faces away
-        fill_triangle(buffer, points[a, 0], points[a, 1], points[a, 2], points[b, 0], points[b, 1], points[b, 2],
-              points[c, 0], points[c, 1], points[c, 2], i0, i1, j0, j1)  # fmt: skip
+        fill_triangle(buffer, points[a], points[b], points[c], i0, i1, j0, j1)
 
 
 @njit(cache=True, nogil=True)
