@@ -203,10 +203,11 @@ def pixels_of(refined: Refined) -> np.ndarray:
 
 
 def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
-    """Return the Refined at its mode under the sensor model that its present state suggests."""
+    """Return the Refined at its mode under the sensor model that its present state suggests, or as it is where that is
+    higher: noise is fitted by quantiles of the residuals, and came out 360 nats lower once."""
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
     found = climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
-    return at_its_blur(rng, found, None)
+    return max(refined, at_its_blur(rng, found, None), key=height)
 
 
 def at_its_blur(rng: np.random.Generator, refined: Refined, members: list[int] | None) -> Refined:
