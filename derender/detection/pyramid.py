@@ -22,11 +22,13 @@ MOST, AT_MOST = 0.75, 1.1503
 ROUNDS = 30  # of leaving out, at most
 BEGIN = 1000  # residuals, about, of which it is told where the leaving out begins
 LEAST_SIGMA, MOST_SIGMA, MOST_GROWTH = 1e-4, 1.0, 1.0  # the last two as a likelihood allows them
-GROWING = 1.08  # times the near half's noise from which the far half's is clearly more
+GROWING = 1.08  # times the noise at the nearest depths from which that at the farthest is clearly more
+MOST_DEPTHS, ENOUGH = 8, 100  # at which the noise is told, and residuals, at least, that tell it at one
+USUAL_OFF, POLISHED = 0.05, 2  # of the log of a spread: what 100 residuals leave open; steps of least squares
 
 
 def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
-    """Return (sigma, growth) of noise sigma + growth depth^2 in metres, from what scatters in a near and a far half.
+    """Return (sigma, growth) of noise sigma + growth depth^2 in metres, from what scatters at each of some depths.
 
     A constant one where the difference is not clear. Both lie in the ranges that a likelihood allows.
     """
@@ -34,20 +36,41 @@ def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
     r, z = residual[seen], depth[seen]
     if len(r) == 0:
         return LEAST_SIGMA, 0.0
-    middle = (len(z) - 1) // 2
-    near = z <= np.partition(z, middle)[middle]
-    constant = float(np.clip(spread_of(r), LEAST_SIGMA, MOST_SIGMA)), 0.0
-    if near.all():
-        return constant
-    spreads = [spread_of(r[half]) + 1e-9 for half in (near, ~near)]
-    if spreads[1] < GROWING * spreads[0]:
-        return constant
-    squares = [np.mean(z[half] ** 2) for half in (near, ~near)]
-    growth = (spreads[1] - spreads[0]) / (squares[1] - squares[0])
-    sigma = spreads[0] - growth * squares[0]
-    if sigma < LEAST_SIGMA:
-        sigma, growth = LEAST_SIGMA, (spreads[1] - LEAST_SIGMA) / squares[1]
+    count = max(min(MOST_DEPTHS, len(z) // ENOUGH), 1)
+    cuts = np.arange(1, count) * len(z) // count
+    order = np.argpartition(z, cuts)
+    spreads = np.array([max(spread_of(part), LEAST_SIGMA) for part in np.split(r[order], cuts)])
+    squares = np.array([np.mean(part**2) for part in np.split(z[order], cuts)])
+    sigma, growth = noise_through(spreads, squares) if count > 1 else (spreads[0], 0.0)
+    if sigma + growth * squares.max() < GROWING * (sigma + growth * squares.min()):
+        sigma, growth = spread_of(r), 0.0
     return float(np.clip(sigma, LEAST_SIGMA, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
+
+
+def noise_through(spreads: np.ndarray, squares: np.ndarray) -> tuple[float, float]:
+    """Return (sigma, growth) that go with the spreads (K,) of noise at depths, given squared (K,).
+
+    The line through two of them that has the least sum of |log(spread / line)|, as what is unexplained at one depth may
+    scatter ten times as wide there; then towards the least one, by least squares in which those far off weigh less.
+    """
+    first, second = np.triu_indices(len(spreads), 1)
+    apart = np.maximum(squares[second] - squares[first], 1e-12)
+    growths = np.maximum((spreads[second] - spreads[first]) / apart, 0.0)
+    growths = np.minimum(growths, (spreads[first] - LEAST_SIGMA) / np.maximum(squares[first], 1e-12))
+    lines = np.column_stack([spreads[first] - growths * squares[first], growths])
+    terms = np.column_stack([np.ones_like(squares), squares])
+    off = np.log(spreads / (lines @ terms.T))
+    line = lines[np.abs(off).sum(axis=1).argmin()]
+    for _ in range(POLISHED):
+        at = terms @ line
+        off = np.log(spreads / at)
+        slopes = terms / at[:, None]
+        weighted = slopes / np.maximum(np.abs(off), USUAL_OFF)[:, None]
+        found = line + np.linalg.lstsq(slopes.T @ weighted, off @ weighted, rcond=None)[0]  # all may be equally far
+        if found[0] < LEAST_SIGMA or found[1] < 0.0:
+            break
+        line = found
+    return float(line[0]), float(line[1])
 
 
 def spread_of(residual: np.ndarray) -> float:
