@@ -127,9 +127,9 @@ def seam_gain(seen: Shown, axis: int, extent: float, parts: int, widest: float) 
     r, sigma, slope, width = (x[near] for x in (seen.deeper[on], seen.sigma[on], seen.slope[on, axis], 2.0 * reach))
     # other seams cross these: as many pixels as elsewhere are deeper for no fault of this one
     deep = seen.deeper > NO_NOISE * seen.sigma
-    mean = seen.deeper[deep].mean() if deep.any() else RANGE
+    mean, share = (seen.deeper[deep].mean(), deep.mean()) if deep.any() else (RANGE, 0.0)
     face = (1.0 - OUTLIERS) * np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
-    rest = OUTLIERS / RANGE + deep.mean() * np.where(r > 0.0, np.exp(-np.maximum(r, 0.0) / mean) / mean, 0.0)
+    rest = OUTLIERS / RANGE + share * np.where(r > 0.0, np.exp(-np.maximum(r, 0.0) / mean) / mean, 0.0)
     gains = np.zeros(len(GAPS))
     for number, gap in enumerate(widest * GAPS[1:], start=1):
         most = np.minimum(gap / np.maximum(slope, LEAST_SLOPE), extent)

@@ -111,6 +111,12 @@ def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_numbe
     assert len(GAPS) == len(seam_gain(none, 0, 0.9, 3, 0.006))
 
 
+@pytest.mark.filterwarnings("error")
+def test_of_a_box_that_nothing_shows_no_seam_tells():
+    unseen = Shown(*np.zeros((2, 0, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0), np.zeros(0))
+    assert not seam_gain(unseen, 0, 0.9, 3, 0.006).any()
+
+
 def test_slabs_that_are_flush_are_parts_of_one_grid():
     """Layers that no seam tells are as many in one slab as in the other, and both are made of the same cartons."""
     part, image, block, whole = pallet(slabs=2)
