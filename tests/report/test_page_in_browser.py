@@ -84,6 +84,16 @@ def test_the_page_is_no_wider_than_its_window(text, tmp_path, width):
     assert told["some"] or width > 390
 
 
+@pytest.mark.parametrize("width", [768, 1280])
+def test_pictures_of_a_row_and_of_the_next_are_as_wide(text, tmp_path, width):
+    needed()
+    script = """
+      const row = [...document.querySelectorAll(".pictures")].find(e => e.children.length > 2);
+      return [...row.children].map(e => Math.round(e.getBoundingClientRect().width));"""
+    told = run_in_page(text, script, tmp_path, width=width)
+    assert len(told) >= 3 and len(set(told)) == 1
+
+
 def test_many_frames_are_cards_on_a_phone(tmp_path):
     needed()
     script = """
