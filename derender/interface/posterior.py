@@ -289,7 +289,10 @@ class Posterior(kept.Posterior):
             depth = self.image.depth
             shown = picture_html(pictures.paint(depth, *pictures.depth_limits(depth)), "observed depth")
         likely = "<br>".join(f"{share} {escape(words)}" for share, words in told_structures(self)[:MOST_LINES])
-        return f"<div>{shown}{self.best.picture_html()}<p>{likely}</p>{self.objects._repr_html_()}</div>"
+        told = "".join(f"<li>{escape(doubt)}</li>" for doubt in self.doubts)
+        judged = "" if self.trusted is None else f"<p><b>{'trusted' if self.trusted else 'not to be trusted'}</b></p>"
+        table = self.objects._repr_html_()
+        return f"<div>{shown}{self.best.picture_html()}<p>{likely}</p>{table}{judged}<ul>{told}</ul></div>"
 
     def _scene(self, graph: SceneGraph) -> Scene:
         told = dict(self.meta.get("likelihood") or {})

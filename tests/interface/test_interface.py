@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -277,6 +278,9 @@ def test_notebooks_show_pictures_that_need_no_network(posterior):
         page = thing._repr_html_()
         assert "data:image/png;base64," in page and "http" not in page
         assert all(found.name in page for found in posterior.objects)
+    for trusted, words in ((True, "<b>trusted"), (False, "<b>not to be trusted")):
+        judged = replace(posterior, meta={**posterior.meta, "trusted": trusted, "doubts": ["a < b"]})
+        assert words in judged._repr_html_() and "<li>a &lt; b</li>" in judged._repr_html_()
     shown = repr(posterior.objects).splitlines()
     assert shown[0].startswith("object") and [line.split()[0] for line in shown[1:]] == [
         o.name for o in posterior.objects
