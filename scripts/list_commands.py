@@ -30,7 +30,7 @@ def _option(option: click.Option) -> str:
     """Return the long name, after the short one where there is one, and the negative form after a slash."""
     short = [name for name in option.opts if not name.startswith("--")]
     long = [name for name in option.opts if name.startswith("--")]
-    return " ".join([*short, "/".join([*long, *option.secondary_opts])])
+    return " ".join(filter(None, [*short, "/".join([*long, *option.secondary_opts])]))
 
 
 def updated(text: str) -> str:

@@ -1,6 +1,7 @@
 """What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -96,7 +97,33 @@ def read_scene(path: str, seed: int | None = None) -> Found:
     graph = document.graph
     uncertain = any(is_drawn(vertex.options) for vertex in graph.vertices)
     numbers = likelihood_numbers(document.likelihood)
-    return Found(name, graph, document.camera, lambda rng, count: repeat(graph, count), uncertain, None, numbers)
+    return Found(name, graph, document.camera, partial(_again_and_again, graph), uncertain, None, numbers)
+
+
+def drawn_scenes(path: str, count: int, seed: int) -> "Iterator[Found]":
+    """Yield the scenes that `derender sample PRIOR -n COUNT --seed SEED` draws, named after its files.
+
+    Raises DerenderError : what is there is no prior.
+    """
+    from derender.document import read_prior_document
+    from derender.posterior.forward import draw_documents
+
+    folder = Path(path)
+    document = read_scene_document(path) if path != "-" and folder.is_dir() else read_prior_document(path)
+    if document.is_scene:
+        raise DerenderError("this is a scene, not a prior: nothing is drawn", path, "leave out -n")
+    for number, drawn in enumerate(draw_documents(document, count, seed, {})):
+        name = f"{'prior' if path == '-' else folder.stem}/{sample_name(number, count)}"
+        yield Found(name, drawn.graph, drawn.camera, partial(_again_and_again, drawn.graph))
+
+
+def _again_and_again(graph: "SceneGraph", rng: "np.random.Generator", count: int) -> "Iterator[SceneGraph]":
+    return repeat(graph, count)
+
+
+def sample_name(number: int, count: int) -> str:
+    """Return the name, without suffix, of the files of a scene of so many that were drawn from a prior."""
+    return f"sample_{number:0{max(3, len(str(count - 1)))}d}"
 
 
 def scene_paths(paths: "Sequence[str]") -> list[str]:

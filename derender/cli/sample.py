@@ -6,6 +6,7 @@ import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.cli.reading import sample_name
 from derender.errors import Idle
 
 
@@ -65,14 +66,14 @@ def command(
         return
     engine = find_renderer(renderer) if images else None
     given = read_camera(camera) if camera is not None else None
-    folder, digits = make_folder(output), max(3, len(str(count - 1)))
+    folder = make_folder(output)
     for number, draw in enumerate(talk.counted(draws, count, "sampling scene")):
-        path = folder / f"sample_{number:0{digits}d}.yaml"
+        path = folder / f"{sample_name(number, count)}.yaml"
         with all_or_none(path, path.with_suffix(".npz")):
             draw.write(path, given)
             if engine is not None:
                 draw.write_image(path.with_suffix(".npz"), engine, noise, given)
         talk.detail(f"wrote {path}")
-    first = folder / f"sample_{0:0{digits}d}"
+    first = folder / sample_name(0, count)
     names = f"{first}.yaml and {first.name}.npz" if images else f"{first}.yaml"
     talk.say(f"wrote {names}" + (f" and {count - 1} more" if count > 1 else ""))

@@ -1,8 +1,9 @@
 """derender simulate: let physics act on a scene, or on the draws of a posterior or a prior."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import click
 from derender import __version__
 from derender.cli import options
 from derender.cli.options import Talk
-from derender.cli.reading import scene_paths
+from derender.cli.reading import drawn_scenes, read_scene, scene_paths
 from derender.errors import DerenderError, Idle
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ class Percent(click.ParamType):
 
 @click.command()
 @click.argument("scenes", metavar="SCENE-or-DIR...", nargs=-1, required=True)
+@click.option(
+    "-n", "count", type=click.IntRange(1, 1_000_000), help="Of a prior: a row for each of so many scenes drawn from it."
+)
 @click.option("--duration", type=options.Finite(0, 3600, min_open=True), default=2.0, help="Seconds to run.")
 @click.option(
     "--draws",
@@ -78,6 +82,7 @@ class Percent(click.ParamType):
 )
 def command(
     scenes: tuple[str, ...],
+    count: int | None,
     duration: float,
     draws: int,
     until: float | None,
@@ -100,7 +105,8 @@ def command(
     of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
     P(stable) and each object's P(falls), with their Monte Carlo errors. What is said of a folder stands on its page
-    too, with animations that lie in it (`derender view`). Several scenes make a table.
+    too, with animations that lie in it (`derender view`). Several scenes make a table; so do the scenes that -n draws
+    from a prior, which are those of `derender sample PRIOR -n N` with the same seed.
 
     Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, whatever their shape, unless the scene file
     says otherwise beside `shape`: mass (kg) or density, friction, elasticity (share of the speed that a bounce gives
@@ -114,6 +120,7 @@ def command(
         derender simulate results/ --draws 200 --json | jq .p_stable
         derender simulate results/ --animate results/fall.gif && derender view results/
         derender simulate results/ --engine both --margin --push red:+x:0.5N@0.1s --until 1%
+        derender simulate stack -n 200 --jitter 2mm,1deg -o table.csv
         derender sample stack -n 20 -o many && derender simulate many -o table.csv
         derender sample stack -o - | derender simulate -
     """
@@ -121,12 +128,13 @@ def command(
 
     what = intervention(**texts)
     paths = scene_paths(scenes)
-    many = _makes_table(scenes, output)
+    many = _makes_table(scenes, output, count)
     _check_names(animate, settle, output, many)
     ask = {"duration": duration, "draws": draws, "until": until, "engine": engine, "jobs": jobs, "seed": seed}
     if many:
-        return _table(paths, what, ask, margin, output, as_json, talk)
-    found, best, source = _one(paths[0], what, ask, margin or as_json, forces, talk)
+        return _table(paths, count, what, ask, margin, output, as_json, talk)
+    source = read_scene(paths[0], seed)
+    found, best = _one(source, what, ask, margin or as_json, forces, talk)
     if forces and not best.forces:
         talk.say("no forces hold this scene as it is")
     made = {"seed": seed, "version": __version__, "command": options.command_line()}
@@ -156,8 +164,9 @@ def command(
     return None
 
 
-def _makes_table(scenes: Sequence[str], output: str | None, **others: Any) -> bool:
-    return len(scene_paths(scenes)) > 1 or (output is not None and Path(output).suffix.lower() in TABLES)
+def _makes_table(scenes: Sequence[str], output: str | None, count: int | None = None, **others: Any) -> bool:
+    tabled = output is not None and Path(output).suffix.lower() in TABLES
+    return tabled or count is not None or len(scene_paths(scenes)) > 1
 
 
 def _keep(folder: Path, text: str, talk: Talk) -> None:
@@ -171,14 +180,12 @@ def _keep(folder: Path, text: str, talk: Talk) -> None:
         talk.warn(f"the page will not tell of it: {error}")
 
 
-def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
-    """Return the summary of a scene, the outcome of the most probable one, and what was read."""
+def _one(source: "Found", what, ask, margin: bool, forces: bool, talk: Talk):
+    """Return the summary of a scene, and the outcome of the most probable one."""
     import numpy as np
 
-    from derender.cli.reading import read_scene
     from derender.physics.outcome import assumptions, outcomes, simulate_scene, summary_of
 
-    source = read_scene(path, ask["seed"])
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
     best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
     assumed = assumptions(best.matter)
@@ -192,13 +199,28 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
         drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], ask["jobs"], ask["until"])
         runs = [replace(run, trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
-    return summary_of(best, runs, assumed, source.missed), best, source
+    return summary_of(best, runs, assumed, source.missed), best
+
+
+def _sources(paths: Sequence[str], count: int | None, seed: int) -> "Iterator[tuple[str, Callable[[], Found]]]":
+    """Yield the name of each scene and what reads it; of priors, with a count, of each scene that is drawn."""
+    for path in paths:
+        if count is None:
+            yield path, partial(read_scene, path, seed)
+        else:
+            for found in drawn_scenes(path, count, seed):
+                yield found.name, partial(_itself, found)
+
+
+def _itself(found: "Found") -> "Found":
+    return found
 
 
 def _table(
     paths: list[str],
+    count: int | None,
     what: "Intervention",
-    ask: dict[str, float | str | None],
+    ask: dict[str, Any],
     margin: bool,
     output: str | None,
     as_json: bool,
@@ -211,12 +233,13 @@ def _table(
     from derender.results.table import as_csv, as_lines
 
     rows = []
-    for path in talk.counted(paths, len(paths), "simulating scene"):
+    sources = _sources(paths, count, ask["seed"])
+    for name, read in talk.counted(sources, len(paths) * (count or 1), "simulating scene"):
         try:
-            rows.append(row_of(path, _one(path, what, ask, margin or as_json, False, Talk(-1))[0]))
+            rows.append(row_of(name, _one(read(), what, ask, margin or as_json, False, Talk(-1))[0]))
         except DerenderError as error:
-            talk.warn(f"{path}: {error}")
-            rows.append(row_of(path, {"fault": str(error)}))
+            talk.warn(f"{name}: {error}")
+            rows.append(row_of(name, {"fault": str(error)}))
     if output is not None:
         write_text(output, as_csv(rows, COLUMNS) if output.lower().endswith(".csv") else as_lines(rows))
         talk.say(f"wrote {output}")

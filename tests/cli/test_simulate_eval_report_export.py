@@ -1,6 +1,7 @@
 """The commands that judge and show: as a person types them, on scenes and on a posterior made by hand."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -86,6 +87,20 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     assert "over 3 draws" in run(capsys, "simulate", "stack", "--draws", "3")[1]
     for name in ("settled.yaml", "t.csv", "fall.glb"):
         (folder / name).unlink()
+
+
+def test_simulate_the_scenes_that_are_drawn_from_a_prior(capsys, folder):
+    asked = ("--jitter", "2mm,1deg", "--draws", "4", "--engine", "statics", "--seed", "1", "--json")
+    status, out, _ = run(capsys, "simulate", "stack", "-n", "3", *asked)
+    drawn = [json.loads(line) for line in out.splitlines()]
+    assert status == 0 and [row["scene"] for row in drawn] == [f"stack/sample_{k:03d}" for k in range(3)]
+    run(capsys, "sample", "stack", "-n", "3", "--seed", "1", "--no-images", "-o", "drawn")
+    files = [json.loads(line) for line in run(capsys, "simulate", "drawn", *asked)[1].splitlines()]
+    assert [{**row, "scene": ""} for row in drawn] == [{**row, "scene": ""} for row in files]
+    assert len({row["margin"] for row in drawn}) > 1
+    status, _, talk = run(capsys, "simulate", "stands.yaml", "-n", "3")
+    assert status == 1 and "this is a scene, not a prior" in talk and "leave out -n" in talk
+    shutil.rmtree("drawn")
 
 
 def test_simulate_a_posterior(capsys, folder):
