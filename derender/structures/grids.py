@@ -11,8 +11,8 @@ so that every box of a structure is asked afterwards whether it is a grid:
 Boxes that stand flush beside each other, as a seam that shows makes the search find them, are asked as one: it would be
 a chance if boxes that have nothing to do with each other did.
 
-The gap is unknown, and another one along each axis. Where no seam can show, as between layers without a gap, the
-probability spreads over all numbers of parts that the prior has.
+The gap is unknown, and another one along each axis; layers rest on each other, and only sometimes do their edges leave
+a groove that shows. Where no seam can show the probability spreads over all numbers of parts that the prior has.
 """
 
 import math
@@ -50,6 +50,7 @@ NO_NOISE, FITS = 3.0, 3  # standard deviations that are no noise of a face, and 
 SMALLEST_WEIGHT, MOST_KEPT = 0.01, 12  # of a grid that is kept, and of how many, the one box among them
 DRAWS = 20  # of a grid, of each chain: each is placed carton by carton
 EXTENTS = ("length", "width", "height")
+UP = 2  # the axis of an upright box across its layers
 
 
 class Shown(NamedTuple):
@@ -230,7 +231,8 @@ def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Bel
     gains = [[seam_gain(seen, axis, size[axis], number, widest) / image.temper if number > 1 else np.zeros(1)
               for number in range(1, cartons.most + 1)] for axis in range(3)]  # fmt: skip
     mean = [[float(np.logaddexp.reduce(gain)) - math.log(len(gain)) for gain in own] for own in gains]
-    best = [[GAPS[gain.argmax()] for gain in own] for own in gains]
+    mean[UP] = [float(np.logaddexp(math.log1p(-cartons.groove), math.log(cartons.groove) + each)) for each in mean[UP]]
+    best = [[GAPS[gain.argmax()] * (axis != UP) for gain in own] for axis, own in enumerate(gains)]
     coarsest = {axis: min(parts[axis] for parts in before) for axis, _ in cuts}
     known = sum(mean[axis][number - 1] for axis, number in coarsest.items())
     found = []

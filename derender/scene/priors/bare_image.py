@@ -136,6 +136,7 @@ class Cartons:
     most: int = 5  # of them in a row, n being as likely as 1 / n
     extent: Distribution = field(default_factory=lambda: distributions["log-normal"](0.2, 0.4))
     gap: float = 0.006  # metres, the widest
+    groove: float = 0.1  # that their edges leave one so wide between layers, which rest on each other
 
 
 @dataclass(frozen=True)
@@ -274,8 +275,9 @@ def read_loose(section: Section) -> Loose:
             remedy = "write {least: 0.1, most: 0.75}; with {power: 0} each pixel tells all"
             raise section["shared"].fault("the least correlation is not below the most", remedy)
     if "cartons" in section:
-        told = section["cartons"].section().allow("probability", "flat", "most", "extent", "gap")
-        carton: dict = {**numbers_of(told, {"probability": SHARE, "flat": SHARE, "gap": ("m", 1e-6)})}
+        told = section["cartons"].section().allow("probability", "flat", "most", "extent", "gap", "groove")
+        allowed = {"probability": SHARE, "flat": SHARE, "gap": ("m", 1e-6), "groove": SHARE}
+        carton: dict = {**numbers_of(told, allowed)}
         if "most" in told:
             carton["most"] = told["most"].integer(lower=2, upper=9)
         if "extent" in told:
