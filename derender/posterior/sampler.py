@@ -182,7 +182,7 @@ class MixtureSampler:
         values, tuning, counts = _unpack(state)
         stretch = self.backend().sweep(rng, values, tuning, draws, self.thin)
         state = _pack(stretch.values[-1], tuning, counts + stretch.counts)
-        return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
+        return state, Segment(stretch.values, stretch.densities)
 
 
 def importance_resampling(rng: np.random.Generator, space: Space, backend: Backend, particles: int) -> np.ndarray:

@@ -46,7 +46,7 @@ def child_seed(seed: int, *key: int) -> int:
     return int(sequence(seed, *key).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-FORMAT = 3  # of what a sampler's state holds; a file of another one cannot be resumed
+FORMAT = 4  # of what a sampler's state holds; a file of another one cannot be resumed
 
 
 class Record(NamedTuple):
@@ -54,8 +54,7 @@ class Record(NamedTuple):
 
     warmed: int  # steps of warm-up that are done
     values: np.ndarray  # (draws, P) float, draws kept so far
-    log_prior: np.ndarray  # (draws,) float
-    log_likelihood: np.ndarray  # (draws,) float
+    densities: np.ndarray  # (draws, 2) float, log prior and log likelihood
     state: dict[str, np.ndarray]  # what the sampler needs to go on, arrays by name
     generator: dict  # state of the chain's random generator, as NumPy's bit generators give and take it
 
@@ -82,8 +81,7 @@ def save_record(path: Path, record: Record, run: str) -> None:
             file,
             header=np.frombuffer(json.dumps(header).encode(), np.uint8),
             values=record.values,
-            log_prior=record.log_prior,
-            log_likelihood=record.log_likelihood,
+            densities=record.densities,
             **arrays,
         )
 
@@ -99,9 +97,7 @@ def load_record(path: Path, run: str) -> Record | None:
         with np.load(path, allow_pickle=False) as file:
             header = parse_json(bytes(file["header"]))
             state = {name.removeprefix("state."): file[name] for name in file.files if name.startswith("state.")}
-            record = Record(
-                header["warmed"], file["values"], file["log_prior"], file["log_likelihood"], state, header["generator"]
-            )
+            record = Record(header["warmed"], file["values"], file["densities"], state, header["generator"])
     except (DerenderError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as fault:
         raise DerenderError("not a checkpoint of a chain", path, "remove it, or run without --resume") from fault
     if header.get("format") != FORMAT:
@@ -119,8 +115,7 @@ class Segment(NamedTuple):
     """Some consecutive draws."""
 
     values: np.ndarray  # (n, P) float
-    log_prior: np.ndarray  # (n,) float
-    log_likelihood: np.ndarray  # (n,) float
+    densities: np.ndarray  # (n, 2) float, log prior and log likelihood
 
 
 class Sampler(Protocol):
@@ -174,7 +169,7 @@ def chain(sampler: Sampler, rng: Any, warmup: int, draws: int, record: Record | 
     """
     if record is None:
         state = sampler.start(rng)
-        record = Record(0, np.empty((0, 0)), np.empty(0), np.empty(0), state, rng.bit_generator.state)
+        record = Record(0, np.empty((0, 0)), np.empty((0, 2)), state, rng.bit_generator.state)
         yield record
     else:
         rng.bit_generator.state = record.generator
@@ -191,12 +186,12 @@ def chain(sampler: Sampler, rng: Any, warmup: int, draws: int, record: Record | 
         if not buffers:
             buffers = [np.empty((draws, *column.shape[1:])) for column in segment]
             if done:
-                for buffer, column in zip(buffers, record[1:4], strict=True):
+                for buffer, column in zip(buffers, record[1:3], strict=True):
                     buffer[:done] = column
         for buffer, column in zip(buffers, segment, strict=True):
             buffer[done : done + count] = column
-        values, log_prior, log_likelihood = (buffer[: done + count] for buffer in buffers)
-        record = Record(record.warmed, values, log_prior, log_likelihood, state, rng.bit_generator.state)
+        values, densities = (buffer[: done + count] for buffer in buffers)
+        record = Record(record.warmed, values, densities, state, rng.bit_generator.state)
         yield record
 
 

@@ -309,30 +309,26 @@ def part_of(target: SceneTarget, records: list[Record], mixed: list[Part], weigh
         part.name: float(accepted / steps) if steps else math.nan
         for part, (steps, accepted) in zip(mixed, counts_by_kernel, strict=True)
     }
-    return part_at(
-        target,
-        values,
-        np.stack([record.log_prior[:length] for record in chosen]),
-        np.stack([record.log_likelihood[:length] for record in chosen]),
-        weight,
-        {"acceptance": {name: rate for name, rate in acceptance.items() if not math.isnan(rate)}},
-    )
+    densities = np.stack([record.densities[:length] for record in chosen])
+    told = {name: rate for name, rate in acceptance.items() if not math.isnan(rate)}
+    return part_at(target, values, densities, weight, {"acceptance": told})
 
 
 def part_at(
-    target: SceneTarget,
-    values: np.ndarray,
-    log_prior: np.ndarray,
-    log_likelihood: np.ndarray,
-    weight: float,
-    extras: Any,
+    target: SceneTarget, values: np.ndarray, densities: np.ndarray, weight: float, extras: Any
 ) -> StructurePosterior:
-    """Return the draws of one structure, values (chains, draws, P) and their densities, as a part of a posterior."""
+    """Return a structure's draws, (chains, draws, P), with their densities, (chains, draws, 2), as a posterior part."""
     poses = None
     if any(address.startswith("root.") for address in target.space.addresses):
         poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
-    return StructurePosterior(target.template, target.space.addresses, values, log_prior, log_likelihood, weight,
-                              target.space.periods, poses, extras)  # fmt: skip
+    return StructurePosterior(target.template, target.space.addresses, values, densities[..., 0], densities[..., 1],
+                              weight, target.space.periods, poses, extras)  # fmt: skip
+
+
+def part_of_one(target: SceneTarget, values: np.ndarray, weight: float, extras: Any) -> StructurePosterior:
+    """Return values (P,) as a posterior's part of one draw."""
+    densities = np.array([[[target.log_prior(values), target.log_likelihood(values)]]])
+    return part_at(target, values[None, None], densities, weight, extras)
 
 
 def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
@@ -342,8 +338,7 @@ def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: i
     values = climb(target, part.values[0, 0], gradient, np.random.default_rng([seed, 3]))
     if np.array_equal(values, part.values[0, 0]):
         return part
-    prior, likelihood = np.array([[target.log_prior(values)]]), np.array([[target.log_likelihood(values)]])
-    return part_at(target, values[None, None], prior, likelihood, part.weight, part.extras)
+    return part_of_one(target, values, part.weight, part.extras)
 
 
 def _particles(
@@ -359,4 +354,4 @@ def _particles(
     densities = np.stack([population.densities for population in populations])
     extras = {"log_evidence": [population.log_evidence for population in populations]}
     values = np.stack([population.values for population in populations])
-    return part_at(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)
+    return part_at(target, values, densities, weight, extras)

@@ -41,4 +41,4 @@ class Walk:
             time.sleep(self.seconds)
         if self.doomed and rng.bit_generator.seed_seq.spawn_key[0] in self.doomed:
             raise ArithmeticError("doomed")
-        return state, Segment(values, np.zeros(draws), -0.5 * np.sum(values**2, axis=1))
+        return state, Segment(values, np.column_stack([np.zeros(draws), -0.5 * np.sum(values**2, axis=1)]))

@@ -24,7 +24,7 @@ def plan(**changes):
 
 def same(one, other):
     assert one.generator == other.generator and one.warmed == other.warmed
-    for name in ("values", "log_prior", "log_likelihood"):
+    for name in ("values", "densities"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for name, value in one.state.items():
         np.testing.assert_array_equal(value, other.state[name])

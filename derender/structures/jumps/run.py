@@ -344,14 +344,12 @@ class JumpSampler:
                  for move, _ in mixture()]  # fmt: skip
         state = {"now": _packed(graphs[-1:]), "drawn": np.concatenate([state["drawn"], _packed(graphs)]),
                  "counts": state["counts"] + steps}  # fmt: skip
-        densities = (np.array([getattr(drawn, kind) for drawn in states]) for kind in State._fields[1:])
-        return state, Segment(np.empty((draws, 0)), *densities)
+        return state, Segment(np.empty((draws, 0)), np.array([drawn[1:] for drawn in states]))
 
     def draws(self, record: Record) -> Draws:
         """Return what a chain has drawn."""
         graphs = _unpacked(record.state["drawn"])
-        states = [State(*row) for row in zip(graphs, map(float, record.log_prior), map(float, record.log_likelihood),
-                                             strict=True)]  # fmt: skip
+        states = [State(graph, *row) for graph, row in zip(graphs, record.densities.tolist(), strict=True)]
         steps, accepted = record.state["counts"].T
         acceptance = {move.name: float(took / of) for (move, _), of, took in
                       zip(mixture(), steps, accepted, strict=True) if of}  # fmt: skip
@@ -472,11 +470,10 @@ def in_step(chains: list[list[Visit]]) -> list[list[Visit]]:
 def _part(words: Vocabulary, chains: list[list[Visit]]) -> StructurePosterior:
     weight = float(sum(visit.weight for chain in chains for visit in chain))
     chains = in_step(chains)
-    log_prior, log_likelihood = (np.array([[getattr(visit.state, kind) for visit in chain] for chain in chains])
-                                 for kind in State._fields[1:])  # fmt: skip
+    densities = np.array([[visit.state[1:] for visit in chain] for chain in chains])
     graph = chains[0][0].graph
     target = words.coordinates(graph)
     if target is None:  # nothing is free
-        return StructurePosterior(graph, (), np.empty((*log_prior.shape, 0)), log_prior, log_likelihood, weight)
+        return StructurePosterior(graph, (), densities[..., :0], densities[..., 0], densities[..., 1], weight)
     values = np.array([[target.values(visit.graph) for visit in chain] for chain in chains])
-    return part_at(target, values, log_prior, log_likelihood, weight, {})
+    return part_at(target, values, densities, weight, {})

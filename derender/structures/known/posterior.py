@@ -22,7 +22,7 @@ from derender.sampling.chains import Plan, run_chains
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.priors.objects import QUATERNION, ROTATION
-from derender.structures.given import part_at, part_of
+from derender.structures.given import part_of, part_of_one
 from derender.structures.known.identities import Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import Known
 
@@ -160,8 +160,7 @@ def part_of_known(
     start = np.array([value if period is None else value % period
                       for value, period in zip(target.values(graph), target.space.periods, strict=True)])  # fmt: skip
     if chains * draws == 1:
-        prior, likelihood = target.log_prior(start), target.log_likelihood(start)
-        return part_at(target, start[None, None], np.array([[prior]]), np.array([[likelihood]]), 1.0, {})
+        return part_of_one(target, start, 1.0, {})
     parts = mixture(target.space, default_parts())
     seed = int(rng.integers(2**63))
     sampler = MixtureSampler(target, parts, places=start[None]).prepared(seed)
