@@ -2,7 +2,8 @@
 
 The values of all unknowns are one flat (P,) float64 vector. An unknown lives on a line, on a circle (an angle with a
 period) or in the group of rotations (a unit quaternion wxyz: four values, three directions to go). A *tangent* vector
-has one number for each direction; `move` takes a step by it, `differences` finds the steps from one place to others.
+has one number for each direction; a step by it is `compiled.prior.moved`, `differences` finds the steps from one place
+to others.
 """
 
 import math
@@ -99,26 +100,6 @@ class Space:
             else:
                 total += unknown.distribution.log_density(float(values[start]))
         return total
-
-    def move(self, values: np.ndarray, block: Block, tangent: np.ndarray) -> np.ndarray:
-        """Return the values after a step of the block by `tangent`.
-
-        Symmetric: steps with a density that is even in `tangent` need no correction, on circles because wrapping keeps
-        lengths, on rotations because q exp(w) is Haar-invariant. A line's values may leave the prior's support.
-        """
-        moved = values.copy()
-        direction = 0
-        for i in block.unknowns:
-            start = self.offsets[i]
-            unknown = self.unknowns[i]
-            if unknown.distribution.size == 4:
-                moved[start : start + 4] = turn(moved[start : start + 4], tangent[direction : direction + 3])
-                direction += 3
-                continue
-            value = moved[start] + tangent[direction]
-            moved[start] = value if unknown.period is None else wrap(value, unknown.period)
-            direction += 1
-        return moved
 
     def differences(self, places: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Return (n, D), the shortest tangents from `origin` to each of (n, P) places."""

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.compilation.cache import Kernel, call_for_number, njit
-from derender.posterior import space
+from derender.compilation.cache import Kernel, call_for_number, interpreted, njit
+from derender.posterior import space as readable
+from derender.posterior.space import Block, Space
 from derender.scene.distributions import Distribution, distributions
 
 ROTATION = 1  # code of the uniform distribution over rotations; that of others is 0
@@ -94,8 +95,8 @@ class Target(NamedTuple):
     engine: Any  # EngineState; interpreted: what is asked for densities
 
 
-wrap = njit(cache=True, nogil=True)(space.wrap)
-turn = njit(cache=True, nogil=True)(space.turn)
+wrap = njit(cache=True, nogil=True)(readable.wrap)
+turn = njit(cache=True, nogil=True)(readable.turn)
 _rotation_density = njit(distributions["uniform-rotation"].density)
 _draw_rotation = njit(distributions["uniform-rotation"].draw)
 
@@ -153,6 +154,22 @@ def move(unknowns, laws, members, values, tangent, scale, moved):
             value = values[start] + scale * tangent[direction]
             moved[start] = value if period == 0.0 else wrap(value, period)
             direction += 1
+
+
+_move = interpreted(move)
+
+
+def moved(space: Space, values: np.ndarray, block: Block, tangent: np.ndarray) -> np.ndarray:
+    """Return the (P,) values after a step of a block by `tangent`: `move`, interpreted.
+
+    Symmetric: steps with a density that is even in `tangent` need no correction, on circles because wrapping keeps
+    lengths, on rotations because q exp(w) is Haar-invariant. A line's values may leave the prior's support.
+    """
+    result, laws = values.copy(), np.zeros((len(space.unknowns), PERIOD + 1))
+    laws[:, PERIOD] = [unknown.period or 0.0 for unknown in space.unknowns]
+    turns = [ROTATION if unknown.ways == 3 else 0 for unknown in space.unknowns]
+    _move(np.array([[*turns, 0], space.offsets, space.directions]), laws, block.unknowns, values, tangent, 1.0, result)
+    return result
 
 
 @njit(cache=True, nogil=True)

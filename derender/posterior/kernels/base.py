@@ -28,6 +28,7 @@ from derender.posterior.compiled.prior import (
     directions,
     log_prior,
     move,
+    moved,
     resample,
     shaped,
     wrap,
@@ -178,7 +179,7 @@ def centre_of(space: Space, history: np.ndarray) -> np.ndarray:
     last = history[-1]
     centre = last
     for _ in range(2):  # the second time from a better origin, for rotations
-        centre = space.move(centre, space.everything, space.differences(history, centre).mean(axis=0))
+        centre = moved(space, centre, space.everything, space.differences(history, centre).mean(axis=0))
     return centre
 
 

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.posterior.compiled.prior import moved
 from derender.posterior.kernels.base import directions_of
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
@@ -271,8 +272,8 @@ class Wiggle(Move):
 
     def apply(self, words: Vocabulary, graph: SceneGraph, choice: Shift) -> Applied:
         target = words.coordinates(graph)
-        moved = target.space.move(target.values(graph), Block("", choice.members), choice.tangent)
-        return Applied(target.graph(moved), choice._replace(tangent=-choice.tangent))
+        after = moved(target.space, target.values(graph), Block("", choice.members), choice.tangent)
+        return Applied(target.graph(after), choice._replace(tangent=-choice.tangent))
 
 
 @moves.register("birth-death")
