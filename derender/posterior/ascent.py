@@ -27,6 +27,7 @@ from derender.posterior.kernels.base import first_tuning, mixture
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import MOTION, cost, new_misfit, normal_equations
 from derender.render.raycast.state import SIGMA
+from derender.sampling.descent import NO_LIMITS, damped_step
 from derender.scene.solids import MESH
 
 if TYPE_CHECKING:
@@ -98,39 +99,6 @@ def find_motions(model, chain, values, chosen, motions):
 
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6  # of the Hessian's diagonal: at the start, and its limits
 AFTER_FAILURE = 1e-2  # least damping after a step that did not lower the cost: smaller ones would fail again
-FLAT, SINGULAR = 1e-6, 1e-10  # shares of the largest diagonal element taken for one that is 0, and added to all
-
-
-@njit(cache=True, nogil=True)
-def solve_positive(matrix, vector, held, step):
-    """Solve matrix step = -vector on the parameters not held (Cholesky); False if the matrix is not positive."""
-    count = vector.shape[0]
-    factor = np.zeros((count, count))
-    for i in range(count):
-        if held[i]:
-            factor[i, i] = 1.0
-            step[i] = 0.0
-            continue
-        for j in range(i + 1):
-            value = matrix[i, j] if not held[j] else 0.0
-            for k in range(j):
-                value -= factor[i, k] * factor[j, k]
-            if i == j:
-                if value <= 0.0:
-                    return False
-                factor[i, i] = math.sqrt(value)
-            else:
-                factor[i, j] = value / factor[j, j]
-        step[i] = -vector[i]
-    for i in range(count):
-        for k in range(i):
-            step[i] -= factor[i, k] * step[k]
-        step[i] /= factor[i, i]
-    for i in range(count - 1, -1, -1):
-        for k in range(i + 1, count):
-            step[i] -= factor[k, i] * step[k]
-        step[i] /= factor[i, i]
-    return True
 
 
 @njit(cache=True, nogil=True)
@@ -235,13 +203,10 @@ class MapProblem:
         path, densities, step = [values], [density], np.zeros(len(values))
         for _ in range(iterations):
             outward = ((values <= domain.lower) & (gradient < 0.0)) | ((values >= domain.upper) & (gradient > 0.0))
-            diagonal = np.diag(precision)
-            largest = max(diagonal.max(), 1e-12)
-            damped = precision + np.diag(damping * np.maximum(diagonal, FLAT * largest) + SINGULAR * largest)
-            if not solve_positive(damped, -gradient, (domain.period == 0.0) & outward, step):
+            foreseen = damped_step(precision, -gradient, damping, (domain.period == 0.0) & outward, NO_LIMITS, step)
+            if math.isnan(foreseen):
                 damping = max(damping * 10.0, DAMPING)
                 continue
-            foreseen = float(step @ (gradient - 0.5 * precision @ step))
             trial = domain.bring(values + step)
             gained = self.log_density(trial) - density
             if gained > 0.0:

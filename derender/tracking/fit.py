@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.posterior.ascent import solve_positive
 from derender.render.raycast.canvas import FACE_BITS, NOTHING
 from derender.render.raycast.normal_equations import MOTION, compare_rows, cost, normal_equations
+from derender.sampling.descent import damped_step, solve_positive
 
 RIGID = 6  # coordinates of a rigid motion
 SMALLEST = 0.003  # metres: no extent becomes less
@@ -176,7 +176,7 @@ def fit(misfit, poses, sizes, members, frame, expected, grown, usual, ties, info
     motions = np.empty((count, solids, MOTION))
     gradient, hessian = np.zeros(count), np.zeros((count, count))
     offset, step, held = np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
-    damped = np.empty((count, count))
+    limits = np.array([LONGEST, WIDEST])
     kept_poses, kept_sizes, kept_frame = poses.copy(), sizes.copy(), frame.copy()
     value = energy_at(misfit, poses, sizes, frame, expected, grown, usual, ties, information, temper, offset)
     damping, taken, gained = 1e-4, 0, 0.0
@@ -192,22 +192,10 @@ def fit(misfit, poses, sizes, members, frame, expected, grown, usual, ties, info
         gained = -1.0
         kept_poses[:], kept_sizes[:], kept_frame[:] = poses, sizes, frame
         while damping < MOST_DAMPING:
-            damped[:] = curvature
-            for p in range(count):
-                damped[p, p] += damping * curvature[p, p] + 1e-9
-            if not solve_positive(damped, gradient, held, step):
+            foreseen = damped_step(curvature, gradient, damping, held, limits, step)
+            if math.isnan(foreseen):
                 damping = max(damping * RAISED, 1e-3)
                 continue
-            length = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-            angle = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-            share = min(1.0, LONGEST / max(length, 1e-12), WIDEST / max(angle, 1e-12))
-            foreseen = 0.0
-            for p in range(count):
-                step[p] *= share
-            for p in range(count):
-                foreseen -= step[p] * gradient[p]
-                for q in range(count):
-                    foreseen -= 0.5 * step[p] * curvature[p, q] * step[q]
             if foreseen < tolerance:
                 break
             move_by(poses, sizes, members, frame, grown, ties, step)
