@@ -194,14 +194,8 @@ def importance_resampling(rng: np.random.Generator, space: Space, backend: Backe
 
 def _pack(values: np.ndarray, tuning: Tuning, counts: np.ndarray) -> dict[str, np.ndarray]:
     """Return the state as arrays by name."""
-    return {
-        "values": values,
-        "mean": tuning.mean,
-        "covariance": tuning.covariance,
-        "scale": np.ones(len(counts)) if tuning.scale is None else tuning.scale,
-        "archive": tuning.places,
-        "counts": counts,
-    }
+    learned = {name: value for name, value in tuning._asdict().items() if name != "temperature"}
+    return {"values": values, "counts": counts, **learned}
 
 
 def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray]:
