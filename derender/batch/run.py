@@ -33,7 +33,7 @@ from derender.batch.frames import (
     request_of,
 )
 from derender.batch.ledger import Ledger
-from derender.compilation.threads import THREADS_VARIABLE, interruptible, safe_path
+from derender.compilation.threads import THREADS_VARIABLE, each_one_of_many, interruptible
 from derender.errors import DerenderError
 from derender.json_text import parse_json
 
@@ -187,7 +187,7 @@ class Processes:
 
     def submit(self, frame: Frame) -> None:
         """Begin to infer a frame; fewer than `size` are in work."""
-        with safe_path(), held(ENDING):  # an executor starts its process with its first task
+        with each_one_of_many(), held(ENDING):  # an executor starts its process with its first task
             executor = self._idle.pop() if self._idle else ProcessPoolExecutor(1, self._context, _begin)
             self._busy[executor.submit(infer_frame, frame, self.order, self.output)] = (executor, frame)
 
@@ -214,10 +214,9 @@ class Processes:
 
 
 def _begin() -> None:
-    """Make this process one of many: signals to end are its parent's business, and one thread is its share."""
+    """Make this process one of many: signals to end are its parent's business."""
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
-    os.environ[THREADS_VARIABLE] = "1"
     leave_with_parent()
 
 

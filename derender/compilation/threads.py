@@ -13,6 +13,9 @@ from typing import Any
 THREADS = 2  # so that two processors walk in half the time of one
 SAFE_PATH = "PYTHONSAFEPATH"  # of the environment: as python -P
 THREADS_VARIABLE = "DERENDER_THREADS"  # of the environment: how many a process may use where it is one of many
+# Of the environment: threads of the libraries behind numpy. On two processors a second one, which mostly waits in a
+# loop for matrices too small to share, took a seventh of what the first did: two processes then disturb each other.
+LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def threads() -> int:
@@ -44,17 +47,20 @@ def import_in_background(*modules: str) -> None:
 
 
 @contextlib.contextmanager
-def safe_path():
-    """Within, processes that are started do not look for modules in the current folder, whatever lies there."""
-    former = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
+def each_one_of_many() -> Iterator[None]:
+    """Within, a process that is started uses one thread, of libraries too where the user does not say how many, and
+    does not look for modules in the current folder, whatever lies there.
+    """
+    said = {name: os.environ.get(name) for name in (SAFE_PATH, THREADS_VARIABLE, *LIBRARIES)}
+    os.environ.update({name: (value if name in LIBRARIES else None) or "1" for name, value in said.items()})
     try:
         yield
     finally:
-        if former is None:
-            del os.environ[SAFE_PATH]
-        else:
-            os.environ[SAFE_PATH] = former
+        for name, value in said.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from derender.batch.frames import Done, Frame, Order, failure, infer_frame, is_done
 from derender.batch.run import Processes, infer_frames
 from derender.cli import group
+from derender.compilation.threads import LIBRARIES, THREADS_VARIABLE
 from derender.errors import DerenderError
 from derender.structures.options import Options
 
@@ -212,6 +213,34 @@ def test_signals_to_a_process_that_is_starting_are_its_parent_s_business(tmp_pat
         assert "cannot read the depth image" in done.error
     finally:
         crew.close()
+
+
+class Tells:
+    """Stands for a frame: whoever is to infer it writes down the environment in which that process was started."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return exec, (f"import shutil; shutil.copyfile('/proc/self/environ', {str(self.path)!r})",)
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/environ"), reason="this system does not tell environments")
+def test_a_process_has_one_thread_from_its_start_unless_the_user_says_how_many(tmp_path, monkeypatch):
+    for name in (*LIBRARIES, THREADS_VARIABLE, "PYTHONSAFEPATH"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    before = dict(os.environ)
+    crew = Processes(1, Order(Options(seed=0, method="map")), str(tmp_path / "out"))
+    try:
+        crew.submit(Frame("telling", Tells(tmp_path / "environment")))
+        wait_for(crew)
+    finally:
+        crew.close()
+    told = dict(pair.split("=", 1) for pair in (tmp_path / "environment").read_text().split("\0") if "=" in pair)
+    wanted = {**dict.fromkeys((*LIBRARIES, THREADS_VARIABLE, "PYTHONSAFEPATH"), "1"), "OMP_NUM_THREADS": "3"}
+    assert {name: told.get(name) for name in wanted} == wanted
+    assert dict(os.environ) == before
 
 
 class Dies:

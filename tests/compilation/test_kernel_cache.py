@@ -417,8 +417,8 @@ def test_folders_that_others_can_write_to_are_not_used(tmp_path):
 
 def test_processes_do_not_run_what_lies_in_the_current_folder(tmp_path):
     (tmp_path / "multiprocessing.py").write_text("open('it-was-run', 'w')\n")
-    code = "import sys\nfrom derender.compilation.threads import safe_path\nimport subprocess\n"
-    code += "with safe_path(): subprocess.run([sys.executable, '-c', 'import multiprocessing'], check=True)\n"
+    code = "import sys\nfrom derender.compilation.threads import each_one_of_many\nimport subprocess\n"
+    code += "with each_one_of_many(): subprocess.run([sys.executable, '-c', 'import multiprocessing'], check=True)\n"
     code += "import os; assert 'PYTHONSAFEPATH' not in os.environ\n"
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     environment.pop("PYTHONSAFEPATH", None)
