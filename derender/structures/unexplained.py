@@ -35,6 +35,9 @@ SURELY = 6.0  # standard deviations from which on what is left after all is sure
 MOST_OF_ONE = 4.0  # standard deviations that one pixel counts for: a single outlier is no solid
 SPOTS = 2  # windows looked at, those that tell most
 SHOWS = 1.0  # standard deviations off what is explained from which on a pixel about a window shows the solid
+# Nats of the likelihood by which the image has to tell of one solid more: half of what a window of FAINT tells. With
+# less it is one of those that nothing shows, as a floor may have anywhere outside the image (`hidden_expected`).
+TOLD = 5.0
 CLIMBED, WEIGHED = 6, 2  # polished candidates of a window that are climbed by themselves, and then with all others
 
 
@@ -112,6 +115,7 @@ def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> li
     for spot in spots(nearer_than_explained(best)):
         states = with_one_more(rng, image, best.state, seen[spot.shown & (image.depth > 0)], settings)
         trials = in_threads(rng, [partial(climb, state=state) for state in states])
+        trials = [trial for trial in trials if trial.log_likelihood > best.log_likelihood + TOLD]
         trials = likeliest_of_each([trial for trial in trials if height(trial) > height(best) - PROMISING])
         candidates += sorted(trials, key=height, reverse=True)[:WEIGHED]
     return [trial.state for trial in candidates]

@@ -95,7 +95,9 @@ def evidence_over(
         return Evidence(sum(load(engine_of(chart, sensor), chart, values)), 0.0), np.empty((0, len(values)))
     steps = THIN if len(solids) == 1 else THIN_OF_EACH * len(solids)
     (drawn,) = sample(rng, chart, sensor, values, 1, DRAWS, steps, members, rounds=ROUNDS[-1:])
-    return log_evidence(rng, chart, sensor, values, drawn.values, members), drawn.values
+    bears = refined.state.parents
+    shown = solids[0] if len(solids) == 1 and solids[0] not in bears else None  # what bears another need not show
+    return log_evidence(rng, chart, sensor, values, drawn.values, members, shown), drawn.values
 
 
 class Block:

@@ -13,11 +13,13 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX
-from derender.structures.alternatives import QUICK, weighed_whole
-from derender.structures.draws.refined import at_mode, pixels_of
+from derender.structures.alternatives import QUICK, unclimbed, weighed_whole
+from derender.structures.draws.metropolis import SAME, engine_of, likelihood_without, load, log_evidence
+from derender.structures.draws.refined import at_mode, members_of, pixels_of
 from derender.structures.graph_posterior import shown_and_left
-from derender.structures.infer import missed_by
+from derender.structures.infer import infer_structure, missed_by
 from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
+from worlds.made_scenes import drawn_scene
 
 RULES = Rules(0.0015)
 
@@ -134,3 +136,30 @@ def test_no_answer_is_surer_than_the_search():
     assert told(correlation=0.9, explained=1.0 - missed.unexplained) == pytest.approx(
         1.0 - (1.0 - missed.sensor) / np.e, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("seed, size, sigma", [(998554, None, None), (998054, (64, 48), 0.006)])
+def test_what_no_pixel_tells_of_is_no_object(seed, size, sigma):
+    """With a solid in three pixels at the image's border, that tell 2 nats of it, the answer was sure and wrong: its
+    integral went on over all the floor outside the image."""
+    _, image, _, eye = drawn_scene(seed, "tabletop", size, sigma)
+    posterior = infer_structure(image, eye, rng=np.random.default_rng([seed, 7]))
+    assert len(posterior.best_graph().solid_names) == 2 and posterior.best_part.weight > 0.9  # the floor, and one solid
+
+
+def test_an_integral_is_where_a_solid_shows():
+    """A second cube in the view's corner: moved out of it, it would have an endless floor to be on."""
+    rng = np.random.default_rng(3)
+    both = cube(0.12).add(row(BOX, 0.2, 0.16, 0.05, 0.0, (0.04,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    sensor, chart, values = observe(rng, both, {"sigma": 0.006, "blur": 0.5}, camera(48, 36))
+    alone = unclimbed(both.without(1), floor_pose(), sensor, RULES)
+    assert likelihood_without(engine_of(chart, sensor), chart, values, 1) == pytest.approx(
+        alone.log_likelihood, abs=1e-6
+    )
+    assert sum(load(engine_of(chart, sensor), chart, values)[1:]) > alone.log_likelihood + SAME
+    members = members_of(chart, [1])
+    draws = np.tile(values, (200, 1))
+    draws[:, members] += rng.normal(size=(200, len(members))) * 0.3  # mostly where it does not show
+    everywhere = log_evidence(np.random.default_rng(0), chart, sensor, values, draws, members)
+    seen = log_evidence(np.random.default_rng(0), chart, sensor, values, draws, members, 1)
+    assert everywhere.log > seen.log + 5.0  # 17 nats here, most of it where the image tells nothing of the cube
