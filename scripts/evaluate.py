@@ -111,6 +111,7 @@ def main():
     parser.add_argument("sets", nargs="*", help=f"of {', '.join(SETS + REAL_SETS)}; default: all")
     parser.add_argument("-n", type=int, default=40, help="scenes of each made set")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (its seed)")
+    parser.add_argument("--seeds", type=int, default=1, help="with which each frame of mosd is inferred")
     parser.add_argument("--method", default="auto")
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--sensor", default="kinect", help="of films")
@@ -138,7 +139,7 @@ def main():
             print(f"| {name} | no folder of real frames here |")
             continue
         elif name == "mosd":
-            row, errors = evaluate_mosd(real_folder(), options, arguments.verbose)
+            row, errors = evaluate_mosd(real_folder(), options, arguments.seeds, arguments.verbose)
         else:
             continue
         shown = ("F1 @ 0.5", "F1 @ 0.75", "F1 @ 0.9", "graph exact")

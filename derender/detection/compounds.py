@@ -15,7 +15,7 @@ from derender.detection.patches import SeenSurface
 from derender.detection.search.bodies import TIGHT
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
-from derender.detection.solids.image import rotation_of
+from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -60,7 +60,7 @@ def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, flo
     masks : [(mask, gain)] of free-form things.
     """
     masks, surface = list(masks), seen.surface
-    while parts := held_by_another(state) or falling(state) or neck(state) or gable(seen, state):
+    while parts := held_by_another(state) or falling(state) or neck(state, seen.image) or gable(seen, state):
         state, found = joined(seen, state, parts)
         masks += found
     if not masks and not len(state):
@@ -212,20 +212,43 @@ def held_by_another(state: State) -> tuple[int, int] | None:
     return None
 
 
-def neck(state: State) -> tuple[int, int] | None:
+def neck(state: State, image: Image | None = None) -> tuple[int, int] | None:
     """Return (i, j), a solid, nothing on it, and the upright one on which alone it stands, whose part it is: a narrow
-    cylinder about the axis of a wide one, or what would fall off, as a cabinet from one of its feet."""
+    cylinder about the axis of a wide one, and lower than it, or what would fall off, as a cabinet from one of its feet.
+
+    image : where it is given, what the other may reach under unseen does not fall off it, see `reaches_under`.
+    """
     for i, row in enumerate(state.rows):
         for j in alone_on(state, i):
             other = state.rows[j]
-            if (state.forms[i] == UPRIGHT and not shares_of_load(state.rows, i, HELD)) or (
+            falls = state.forms[i] == UPRIGHT and not shares_of_load(state.rows, i, HELD)
+            if (falls and (image is None or not reaches_under(image, state, j, i))) or (
                 int(row[0]) == int(other[0]) == CYLINDER
                 and flat_top(other)
                 and row[13] < NECK * other[13]
+                and row[15] < other[15]
                 and np.hypot(*(row[10:12] - other[10:12])) < 0.5 * COAXIAL * other[13]
             ):
                 return i, j
     return None
+
+
+def reaches_under(image: Image, state: State, j: int, i: int) -> bool:
+    """Return whether upright box `j` may reach under the middle of solid `i`, as far as can be seen.
+
+    A box is as deep as it shows, and the one on it hides how deep it is: 2 cm more made a stack of what fell.
+    """
+    row, other = state.rows[j], state.rows[i]
+    if int(row[0]) != BOX or state.forms[j] != UPRIGHT:
+        return False
+    axes = rotation_of(row)[:, :2]
+    middle, half = (other[10:13] - row[10:13]) @ axes, 0.5 * row[13:15]
+    low, high = np.minimum(-half, middle - HELD), np.maximum(half, middle + HELD)
+    longer = row.copy()
+    longer[10:13] += axes @ (0.5 * (low + high))
+    longer[13:15] = high - low
+    before, after = (held_out(image, each, -1)[1] == j for each in (state, state.changed(j, row=longer)))
+    return int((after & ~before & (image.weight > 0)).sum()) < PART * before.sum()
 
 
 def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:

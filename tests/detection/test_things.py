@@ -305,6 +305,7 @@ def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
     assert neck(body.add(cylinder(0.005, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)) == (1, 0)
     assert neck(body.add(cylinder(0.025, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)) is None  # off its axis
     assert neck(body.add(cylinder(0.005, 0.15, 0.07, 0.04), UPRIGHT, False, 0, 0.15)) is None  # a can on a can
+    assert neck(body.add(cylinder(0.005, 0.15, 0.03, 0.16), UPRIGHT, False, 0, 0.15)) is None  # a cup on a bowl
     capped = body.add(cylinder(0.0, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)
     assert neck(capped.add(cylinder(0.0, 0.19, 0.03, 0.04), UPRIGHT, False, 1, 0.19)) is None  # it bears another
 
@@ -315,6 +316,19 @@ def test_what_would_fall_off_what_alone_bears_it_is_a_part_of_it():
     for x, parts in ((0.15, (1, 0)), (0.01, None)):
         body = make_row(BOX, np.eye(3), [x, 0.0, 0.34], [0.4, 0.4, 0.4])
         assert neck(foot.add(body, UPRIGHT, False, 0, 0.14)) == parts
+
+
+def test_what_stands_on_what_may_reach_under_it_unseen_is_no_part_of_it():
+    """A board on a low box, its middle beyond what shows of that: behind the board nobody sees how deep the box is."""
+    image = make_image(seen_on_the_table([]), np.full(CAMERA.shape, 0.001), CAMERA, TABLE, 0.0)
+    low = State().add(make_row(BOX, np.eye(3), [0.0, 0.0, 0.03], [0.15, 0.1, 0.06]), UPRIGHT, False, FLOOR, 0.0)
+    for beyond, expected in ((0.08, None), (-0.08, (1, 0))):
+        board = make_row(BOX, np.eye(3), [0.0, beyond, 0.13], [0.21, 0.045, 0.14])
+        both = low.add(board, UPRIGHT, False, 0, 0.06)
+        assert neck(both) == (1, 0)
+        assert neck(both, image) == expected
+    can = make_row(CYLINDER, np.eye(3), [0.0, 0.0, 0.03], [0.1, 0.1, 0.06])
+    assert neck(both.changed(0, row=can), image) == (1, 0)  # what is round shows how deep it is
 
 
 def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
