@@ -38,7 +38,15 @@ from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample, walker_at
 from derender.structures.draws.numbers import numbers_of_draws, scene_log_prior
 from derender.structures.draws.refined import Refined, chains_of, structure_posterior
-from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, image_likelihood, model_depth, noise_of
+from derender.structures.draws.sensor import (
+    RATES,
+    Sensor,
+    final_sensor,
+    first_sensor,
+    image_likelihood,
+    model_depth,
+    noise_of,
+)
 from derender.structures.draws.steps import (
     FIRST,
     FLOOR_SHARE,
@@ -326,7 +334,7 @@ def test_sensor_is_read_off_the_image(pixels):
     rng = np.random.default_rng(5)
     sensor, chart, values = observe(rng, stack(), {"sigma": 0.003, "blur": pixels}, camera(120, 90))
     fitted = final_sensor(first_sensor(sensor.camera, sensor.observed, chart, values), chart, values)
-    assert fitted.likelihood.name == "gaussian"
+    assert fitted.likelihood.name == "robust" and fitted.values["outlier"] == RATES[0]  # as the prior's file says
     assert fitted.values["blur"] == pytest.approx(pixels, abs=0.03)
     # ten thousand pixels: 0.7 % is one standard deviation
     assert fitted.values["sigma"] == pytest.approx(0.003, rel=0.03)
@@ -365,7 +373,7 @@ def test_the_whole_image_s_likelihood_is_read_off_it():
     np.testing.assert_allclose(fitted, wanted, rtol=0.15)
     plain = likelihoods["gaussian"].sample(rng, clean, {"sigma": 0.003})
     name, numbers = image_likelihood(eye, plain, graph.solids())
-    assert name == "gaussian" and numbers["sigma"] == pytest.approx(0.003, rel=0.03)
+    assert numbers["sigma"] == pytest.approx(0.003, rel=0.03) and numbers["outlier"] == RATES[0]
     assert numbers["blur"] < 0.2
 
 

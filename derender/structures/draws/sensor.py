@@ -38,7 +38,6 @@ NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: pixels beyond it are left out
 
 
-ROBUST = {"outlier", "sigma_growth", "missing", "missing_edge"}  # numbers that only the robust likelihood has
 NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
 
 
@@ -278,7 +277,10 @@ def best_fit(
     every: int = 1,
     prior: LikelihoodPrior | None = None,
 ) -> tuple[float, str, dict[str, float]]:
-    """Return (log density, name, numbers): the blur near the best of `blurs`, gaussian where that suffices.
+    """Return (log density, name, numbers): the blur near the best of `blurs`.
+
+    Without outliers only where the prior says so. Where the image shows none a gaussian likelihood fits as well, but a
+    structure that leaves one out of an edge has outliers, and the two were weighed under different likelihoods.
 
     rates : of outliers, the first while the blur is sought. steps : pixels by which the blur is then improved.
     prior : see Sensor: its numbers hold, and gaussian noise that it says is gaussian.
@@ -293,16 +295,12 @@ def best_fit(
             best = max([best, *trials], key=itemgetter(0))
     at = best[2]["blur"]
     robust = max([best, *(fitted(at, rate) for rate in rates[1:])], key=itemgetter(0))
-    if (observed < 0.0).any():  # only the robust likelihood knows of what is no part of the scene
-        return robust
-    plain = gaussian_fit(observed, clean, at, every, held)
-    if prior is not None and prior.type == "gaussian":
-        return plain
-    return plain if plain[0] > robust[0] and not held.keys() & ROBUST else robust
+    gaussian = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
+    return gaussian_fit(observed, clean, at, every, held) if gaussian else robust
 
 
 def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
-    """Return the sensor refitted given a good state: the blur to a hundredth of a pixel; gaussian where it suffices."""
+    """Return the sensor refitted given a good state, the blur to a hundredth of a pixel."""
 
     def refitted(view):
         clean = model_depth(chart, values, view.camera, view.into)
