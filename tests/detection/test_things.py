@@ -322,13 +322,14 @@ def test_what_stands_on_what_may_reach_under_it_unseen_is_no_part_of_it():
     """A board on a low box, its middle beyond what shows of that: behind the board nobody sees how deep the box is."""
     image = make_image(seen_on_the_table([]), np.full(CAMERA.shape, 0.001), CAMERA, TABLE, 0.0)
     low = State().add(make_row(BOX, np.eye(3), [0.0, 0.0, 0.03], [0.15, 0.1, 0.06]), UPRIGHT, False, FLOOR, 0.0)
-    for beyond, expected in ((0.08, None), (-0.08, (1, 0))):
-        board = make_row(BOX, np.eye(3), [0.0, beyond, 0.13], [0.21, 0.045, 0.14])
+    for beyond, wide, expected in ((0.08, 0.21, None), (-0.08, 0.21, (1, 0)), (0.08, 0.05, (1, 0))):
+        board = make_row(BOX, np.eye(3), [0.0, beyond, 0.13], [wide, 0.045, 0.14])
         both = low.add(board, UPRIGHT, False, 0, 0.06)
         assert neck(both) == (1, 0)
-        assert neck(both, image) == expected
+        assert neck(both, image) == expected  # beside a narrow one the box would show
     can = make_row(CYLINDER, np.eye(3), [0.0, 0.0, 0.03], [0.1, 0.1, 0.06])
-    assert neck(both.changed(0, row=can), image) == (1, 0)  # what is round shows how deep it is
+    behind = both.changed(0, row=can).changed(1, row=make_row(BOX, np.eye(3), [0.0, 0.08, 0.13], [0.21, 0.045, 0.14]))
+    assert neck(behind, image) == (1, 0)  # what is round shows how deep it is
 
 
 def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
