@@ -26,6 +26,7 @@ from derender.structures.draws.sensor import model_depth
 from derender.structures.weighing import Block, Weighed, of_block
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
+HIDDEN_GAP = 0.06  # metres between what may be one box whose middle is hidden
 BESIDE = 0.02  # metres between a low box and what stands behind it that may stand on it
 UNDER = 0.5  # share of the extents of what is put on a box that the box reaches under
 THOROUGH = 600  # for each solid where two are cut anew: all edges about them may be a little off
@@ -45,28 +46,47 @@ def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
     """Return the Weighed of an upright box being one with a smaller one beside it, or, but where neighbouring pixels
-    share noise, with whatever is there: a ball may stand for what a box too narrow leaves unexplained."""
+    share noise, with whatever is there: a ball may stand for what a box too narrow leaves unexplained.
+
+    Beside it is also what a gap parts from it of which the image shows as good as nothing: two ends of one board
+    behind a bottle.
+    """
     state, tasks = best.state, []
     boxes = [k for k in range(len(state)) if int(state.rows[k][0]) == BOX and state.forms[k] == UPRIGHT]
     for i in boxes:
         for j in range(len(state)) if best.sensor.worth >= 1.0 else boxes:
             if i == j or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
                 continue
-            if penetration(grown(state.rows[i], NEIGHBOURS), state.rows[j]) > 0.0:
+            if touching(state, i, j) or parted_unseen(best, i, j, rules):
                 tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
     return [found for found in in_threads(rng, tasks) if found is not None]
 
 
-def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
-    """Return the Weighed of solid `j` being part of `i`; None where that is pruned."""
-    state = best.state
+def touching(state: State, i: int, j: int, gap: float = NEIGHBOURS) -> bool:
+    """Whether solids i and j are within a gap (metres) of each other."""
+    return penetration(grown(state.rows[i], gap), state.rows[j]) > 0.0
+
+
+def parted_unseen(best: Refined, i: int, j: int, rules: Rules) -> bool:
+    """Whether solids i and j are apart, and the image is about as well explained were they one box."""
+    if not touching(best.state, i, j, HIDDEN_GAP):
+        return False
+    return change_of_image(best, *make_chart(as_one(best.state, i, j), floor_pose_of(best), rules)) < FLUSH_ENOUGH
+
+
+def as_one(state: State, i: int, j: int) -> State:
+    """Return the state with the upright box about solids i and j in place of both."""
     lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
     new = state.changed(i, row=merged_row(state.rows[i], state.rows[j]), cube=False, parent=state.parents[lower],
                         bottom=state.bottoms[lower])  # fmt: skip
     new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
-    new = new.without(j)
+    return new.without(j)
+
+
+def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
+    """Return the Weighed of solid `j` being part of `i`; None where that is pruned."""
     place = i - (j < i)
-    trial = tried(rng, best, new, [place], rules)
+    trial = tried(rng, best, as_one(best.state, i, j), [place], rules)
     return None if trial is None else of_block(rng, Block(trial, [place]), Block(best, [i, j]))
 
 

@@ -17,7 +17,7 @@ from derender.scene.solids import BOX
 from derender.structures.draws.chart import log_prior, make_chart, tipping
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.unions import on_supports, recuts
+from derender.structures.unions import HIDDEN_GAP, merges, on_supports, parted_unseen, recuts, touching
 from derender.structures.weighing import evidence_over, odds_at
 
 RULES = Rules(0.0015)
@@ -63,15 +63,42 @@ def tips(refined):
     return bool(tipping(refined.chart, refined.state.rows))
 
 
+def seen_as(rng, truth, state):
+    """Return the Refined of a state given the image of another."""
+    view, likelihood = Camera(75.0, 75.0, 39.5, 29.5, 80, 60), likelihoods["gaussian"]
+    numbers = likelihood.complete({"sigma": 0.001})
+    depth = model_depth(*make_chart(truth, floor_pose(), RULES), view)
+    sensor = Sensor(view, likelihood.sample(rng, depth, numbers), likelihood, numbers)
+    return at_mode(rng, state, floor_pose(), sensor, RULES)
+
+
 def weighed(state, seed=0):
     """Return (Refined of a state given its own image, the ways to cut it with their log odds)."""
-    rng, view = np.random.default_rng(seed), Camera(75.0, 75.0, 39.5, 29.5, 80, 60)
-    chart, start = make_chart(state, floor_pose(), RULES)
-    likelihood = likelihoods["gaussian"]
-    numbers = likelihood.complete({"sigma": 0.001})
-    sensor = Sensor(view, likelihood.sample(rng, model_depth(chart, start, view), numbers), likelihood, numbers)
-    best = at_mode(rng, state, floor_pose(), sensor, RULES)
+    rng = np.random.default_rng(seed)
+    best = seen_as(rng, state, state)
     return best, recuts(rng, best, RULES)
+
+
+BEFORE = (0.02, -0.06, 0, [0.1, 0.04, 0.13])  # a box that hides the middle of what is behind it
+
+
+def two_ends(apart):
+    """Two boxes behind a third, so many metres between them."""
+    return boxes((-0.15, 0.05, 0, [0.3 - apart, 0.05, 0.06]), (0.15, 0.05, 0, [0.3 - apart, 0.05, 0.06]), BEFORE)
+
+
+def test_two_ends_of_a_box_that_another_hides_the_middle_of_are_one():
+    rng, board = np.random.default_rng(0), boxes((0, 0.05, 0, [0.59, 0.05, 0.06]), BEFORE)
+    best = seen_as(rng, board, two_ends(0.025))
+    assert len(best.state) == 3
+    (found,) = [each for each in merges(rng, best, RULES) if len(each.trial.state) == 2]
+    assert found.odds > 3.0 and np.isclose(found.trial.state.rows[:, 13].max(), 0.59, atol=0.005)
+
+
+def test_boxes_are_not_tried_as_one_where_the_floor_between_them_shows():
+    apart = two_ends(0.05).without(2)
+    best = seen_as(np.random.default_rng(0), apart, apart)
+    assert touching(best.state, 0, 1, HIDDEN_GAP) and not parted_unseen(best, 0, 1, RULES)
 
 
 def test_a_cut_keeps_the_outline_and_another_takes_it_back():
