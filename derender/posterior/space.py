@@ -55,6 +55,7 @@ class Space:
         self.blocks = tuple(blocks)
         self.slides: tuple[str, ...] = ()  # blocks that may move under their children: the target knows
         self.relocations: tuple[str, ...] = ()  # blocks that may be put down anew in the world
+        self.spans: dict[str, tuple[str, str]] = {}  # extents of boxes along the face that they rest on, by object
         sizes = [unknown.distribution.size for unknown in self.unknowns]
         self.offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         ways = [unknown.ways for unknown in self.unknowns]

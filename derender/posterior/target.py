@@ -12,6 +12,8 @@ from derender.errors import DerenderError
 from derender.posterior.space import Block, Space, Unknown
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
+from derender.scene.shapes.base import SIDES
+from derender.scene.shapes.kinds import FACE_NAMES
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -39,7 +41,15 @@ def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribu
     known = {unknown.address for unknown in unknowns}
     space.slides = tuple(name for name in members if _can_slide(graph, name, known))
     space.relocations = tuple(name for name in members if _can_relocate(graph, name, known))
+    space.spans = {vertex.name: spans_of(vertex.contact.child_face) for vertex in graph.vertices
+                   if vertex.body.shape.name == "box" and vertex.contact.child_face in FACE_NAMES}  # fmt: skip
     return space
+
+
+def spans_of(face: str) -> tuple[str, str]:
+    """Return the parameters of a box that are its extents along one of its faces."""
+    along = "xyz".index(face[1])
+    return SIDES[(along + 1) % 3].name, SIDES[(along + 2) % 3].name
 
 
 def block_name(address: str) -> str:

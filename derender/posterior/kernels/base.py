@@ -327,8 +327,8 @@ def flipped(rng, unknowns, laws, values, tangents, members, factor, scale):
 
 @kernels.register("flip")
 class FlipType(KernelType):
-    """Turn an object by half the period of its angle, a quarter turn for a box, whose length and width may change
-    places then."""
+    """Turn an object by half the period of its angle, a quarter turn for a box, whose extents along the face that it
+    rests on may change places then."""
 
     proposal = flipped
 
@@ -344,6 +344,6 @@ class FlipType(KernelType):
         for i in block.unknowns:
             name, _, rest = space.unknowns[i].address.partition(".")
             if space.unknowns[i].period is not None:
-                sides = index.get(f"{name}.length"), index.get(f"{name}.width")
+                sides = tuple(index.get(f"{name}.{side}") for side in space.spans.get(name, ("length", "width")))
                 told += (i, -1, -1) if None in sides or rest != "contact.theta" else (i, *sides)  # type: ignore[arg-type]
         return told
