@@ -50,16 +50,20 @@ class Mixture(NamedTuple):
         return points, np.log(self.shares)[:, None] + own
 
 
-def evidence(rng: np.random.Generator, target: Callable[[np.ndarray], np.ndarray], draws: np.ndarray) -> Evidence:
+def evidence(
+    rng: np.random.Generator, target: Callable[[np.ndarray], np.ndarray], draws: np.ndarray,
+    enough: float = ENOUGH, rounds: int = ADAPTATIONS,
+) -> Evidence:  # fmt: skip
     """Return the Evidence of a density over R^D.
 
     target : log densities (m,) of points (m, D). draws : (n, D), of the density, in the order of a chain.
+    enough : independent draws that the last round's points are to be worth, if that is reached in so many `rounds`.
     """
     if draws.shape[1] == 0:
         return Evidence(float(target(draws[:1])[0]), 0.0)
     mixture, found = about(draws), Evidence(-np.inf, np.inf)
     first = max(POINTS * draws.shape[1], LEAST)
-    for count in (first * GROWTH ** np.arange(ADAPTATIONS)).astype(int):
+    for count in (first * GROWTH ** np.arange(rounds)).astype(int):
         points, under = mixture.draw(rng, count)
         logs = target(points) - np.logaddexp.reduce(under, axis=0)
         most = logs.max()
@@ -70,7 +74,7 @@ def evidence(rng: np.random.Generator, target: Callable[[np.ndarray], np.ndarray
         former, log, worth = found.log, float(most + math.log(weights.mean())), worth_of(weights)
         still_rising = 0.5 * abs(log - former) if former > -np.inf else 0.0  # the rounds have not met all of it
         found = Evidence(log, max(math.sqrt(max(1.0 / worth - 1.0 / count, 0.0)), still_rising))
-        if worth >= ENOUGH:
+        if worth >= enough:
             break
         mixture = refitted(mixture, points, under, weights)
     return found

@@ -166,7 +166,7 @@ def part_of_known(
     sampler = MixtureSampler(target, parts, places=start[None]).prepared(seed)
     plan = Plan(sampler, seed, chains, WARMUP, draws)
     outcome = run_chains(plan, THREADS)
-    part = part_of(target, list(outcome.records.values()), parts, 1.0)
+    part = part_of(target, list(outcome.records.values()), parts)
     if part is None or outcome.interrupted:
         raise KeyboardInterrupt
     return part
