@@ -7,9 +7,9 @@ outlier, up to a constant, without the exponentials (Bolles and Fischler's score
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.image import KIND, bounding_rectangle, box_faces, depths_of
+from derender.detection.solids.image import prepared_row
 from derender.render.blur import blur_into
-from derender.scene.solids import BOX
+from derender.render.raycast.convex import inverse_depths
 
 LIMIT = 8.0
 AS_SEEN = 1e-8  # metres
@@ -40,30 +40,29 @@ def misfit_map(image, depth, out):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")  # where nothing is drawn the inverse depth is 0
 def added_misfit(image, row, depth, misfit):
     """Return how the misfit changes when the solid `row` is added to a scene with this depth and misfit map."""
     height, width = image.depth.shape
-    i0, i1, j0, j1 = bounding_rectangle(row, image.projection, height, width)
-    if i0 >= i1 or j0 >= j1:
+    prepared, rectangle = prepared_row(image, row)
+    i0, i1, j0, j1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
+    if i0 >= i1:
         return 0.0
-    drawn, faces = np.empty(i1 - i0), np.empty((9, 3))
-    if int(row[KIND]) == BOX:
-        box_faces(image, row, i0, faces)
+    drawn = np.empty(i1 - i0)
     if image.taps.size > 1:  # the solid changes the pixels that it covers and those within the blur's reach
         radius = image.taps.size - 1
         left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
         top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
         window = np.minimum(depth[top:bottom, left:right], WALL)  # what the rectangle's neighbourhood is blurred from
         for j in range(j0, j1):
-            depths_of(image, row, i0, j, faces, drawn)
+            inverse_depths(prepared, i0, j, drawn)
             part = window[j - top, i0 - left : i1 - left]
             for n in range(drawn.size):
-                part[n] = min(part[n], drawn[n])
+                part[n] = min(part[n], 1.0 / drawn[n])
         return change_within(image, window, left, top, i0, i1, j0, j1, misfit)
     total = 0.0
     for j in range(j0, j1):
-        depths_of(image, row, i0, j, faces, drawn)
+        inverse_depths(prepared, i0, j, drawn)
         total += change_of_row(image.depth[j, i0:i1], image.weight[j, i0:i1], depth[j, i0:i1], drawn, misfit[j, i0:i1])
     return total
 
@@ -77,14 +76,15 @@ def added_misfits(image, rows, depth, misfit):
     return found
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"}, borrows=True)
+@njit(cache=True, nogil=True, fastmath={"reassoc"}, error_model="numpy", borrows=True)
 def change_of_row(seen, weight, depth, drawn, misfit):
-    """Return how the misfit of pixels (n,) changes where what is drawn is nearer than the depth before."""
+    """Return how the misfit of pixels (n,) changes where inverse depths are drawn that are nearer than before."""
     total = 0.0
     for n in range(drawn.size):
-        r = seen[n] - drawn[n]
+        z = 1.0 / drawn[n]
+        r = seen[n] - z
         change = min(r * r * weight[n], LIMIT) - misfit[n]
-        total += change if drawn[n] < depth[n] and weight[n] > 0.0 else 0.0
+        total += change if z < depth[n] and weight[n] > 0.0 else 0.0
     return total
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derender.detection.solids.image import Image, bounding_rectangle, rotation_of
+from derender.detection.solids.image import Image, prepared_row, rotation_of
 from derender.detection.solids.interpenetration import clamp_direction, highest, lowest, overlap_along, penetration
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import UPRIGHT, contact_energy, size_energy
@@ -173,7 +173,7 @@ def touches(row: np.ndarray, other: np.ndarray, reach: float = NEAR) -> bool:
 def concerned(image: Image, state: State, changed: set[int]) -> set[int]:
     """Return the solids to which it may matter that some have changed: those, what stands on them or on what is gone,
     and what shows beside them."""
-    rectangles = np.array([bounding_rectangle(row, image.projection, *image.depth.shape) for row in state.rows])
+    rectangles = np.array([prepared_row(image, row)[1] for row in state.rows])
     rectangles = rectangles.reshape(len(state), 4) + [-BESIDE, BESIDE, -BESIDE, BESIDE]
     found = set(changed)
     for i, (left, right, top, bottom) in enumerate(rectangles):

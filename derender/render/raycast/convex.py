@@ -256,6 +256,44 @@ def inverse_depth(prepared, column, row):
     return upper if upper >= lower and upper > 0.0 and upper < math.inf else 0.0
 
 
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
+def _along_row(prepared, face, end, first, row, without):
+    """Value at column `first` and slope of the affine bound `face` on a row; `without` and 0 from `end` on."""
+    k = FACES + 3 * face
+    if face >= end:
+        return without, 0.0
+    return prepared[k] + prepared[k + 1] * first + prepared[k + 2] * row, prepared[k + 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", borrows=True)
+def inverse_depths(prepared, first, row, out):
+    """Write `inverse_depth` of the pixels of a row from column `first` on into out (n,).
+
+    Three upper and five lower bounds, as many as a box may have, and no check for zero: no branch in the loop.
+    """
+    front, faces = int(prepared[0]), int(prepared[0] + prepared[1])
+    a0, b0 = _along_row(prepared, 0, front, first, row, math.inf)
+    a1, b1 = _along_row(prepared, 1, front, first, row, math.inf)
+    a2, b2 = _along_row(prepared, 2, front, first, row, math.inf)
+    a3, b3 = _along_row(prepared, front, faces, first, row, 0.0)
+    a4, b4 = _along_row(prepared, front + 1, faces, first, row, 0.0)
+    a5, b5 = _along_row(prepared, front + 2, faces, first, row, 0.0)
+    a6, b6 = _along_row(prepared, front + 3, faces, first, row, 0.0)
+    a7, b7 = _along_row(prepared, front + 4, faces, first, row, 0.0)
+    curved, t, s, k = prepared[2] != 0.0, first - prepared[4], row - prepared[5], prepared[3]
+    middle, slope = prepared[QUADRIC_B] + prepared[QUADRIC_B + 2] * s, prepared[QUADRIC_B + 1]
+    for n in range(out.size):
+        x = float(n)
+        upper = min(min(a0 + b0 * x, a1 + b1 * x), a2 + b2 * x)
+        lower = max(max(max(a3 + b3 * x, a4 + b4 * x), max(a5 + b5 * x, a6 + b6 * x)), max(a7 + b7 * x, 0.0))
+        if curved:  # the same for the whole row
+            square = discriminant(prepared, t + x, s)
+            root, near = math.sqrt(max(square, 0.0)), middle + slope * (t + x)
+            lower = max(lower, (near - root) / k) if square >= 0.0 else math.inf
+            upper = min(upper, (near + root) / k) if k > 0.0 else upper
+        out[n] = upper if upper >= lower and 0.0 < upper < math.inf else 0.0
+
+
 NEAR = 1e-3  # metres: the depth that pieces nearer than this are taken to have when their length is reckoned
 LINES = 512  # most lines of one solid
 EDGE, DEPTH, NORMAL = 0, 3, 6  # a line's numbers: see `draw_outline`

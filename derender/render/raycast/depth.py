@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import address_of, call_for_nothing, njit
-from derender.render.raycast.convex import PREPARED, inverse_depth, prepare_solid
+from derender.render.raycast.convex import PREPARED, inverse_depths, prepare_solid
 from derender.scene.solids import MESH, Solids
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def draw(calls, kinds, poses, sizes, mesh_index, meshes, camera, inverse, label)
     height, width = inverse.shape
     inverse[:] = 0.0
     label[:] = -1
-    prepared = np.zeros(PREPARED)
-    rectangle = np.zeros(4, np.int64)
+    prepared, rectangle = np.zeros(PREPARED), np.zeros(4, np.int64)
+    seen = np.empty(width)
     for k in range(kinds.shape[0]):
         call_for_nothing(calls[0], kinds[k], poses[k], sizes[k], camera, width, height, prepared, rectangle)
         if rectangle[0] >= rectangle[1]:
@@ -64,12 +64,13 @@ def draw(calls, kinds, poses, sizes, mesh_index, meshes, camera, inverse, label)
                         inverse[row, column] = buffer[row, column]
                         label[row, column] = k
         else:
+            left, count = rectangle[0], rectangle[1] - rectangle[0]
             for row in range(rectangle[2], rectangle[3]):
-                for column in range(rectangle[0], rectangle[1]):
-                    value = inverse_depth(prepared, column, row)
-                    if value > inverse[row, column]:
-                        inverse[row, column] = value
-                        label[row, column] = k
+                inverse_depths(prepared, left, row, seen[:count])
+                for n in range(count):
+                    if seen[n] > inverse[row, left + n]:
+                        inverse[row, left + n] = seen[n]
+                        label[row, left + n] = k
 
 
 def bound_address() -> int:

@@ -21,7 +21,7 @@ from derender.detection.solids.beliefs import (
     box_log_density,
     log_density_at,
 )
-from derender.detection.solids.image import ROW
+from derender.detection.solids.image import ROW, pose_in
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration_beyond, reach
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State
@@ -214,14 +214,9 @@ def camera_poses(chart, values, rows, poses, sizes):
         floor[3, i] = 0.0
     floor[3, 3] = 1.0
     for k in range(len(rows)):
-        row, pose = rows[k], poses[k + 1]
+        pose_in(floor, rows[k], poses[k + 1])
         for i in range(3):
-            for j in range(3):
-                pose[i, j] = floor[i, 0] * row[1 + j] + floor[i, 1] * row[4 + j] + floor[i, 2] * row[7 + j]
-            pose[i, 3] = floor[i, 0] * row[10] + floor[i, 1] * row[11] + floor[i, 2] * row[12] + floor[i, 3]
-            sizes[k + 1, i] = row[13 + i]
-            pose[3, i] = 0.0
-        pose[3, 3] = 1.0
+            sizes[k + 1, i] = rows[k, 13 + i]
 
 
 def rows_at(chart: Chart, values: np.ndarray) -> np.ndarray:

@@ -15,13 +15,14 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import ROW, SIZE, Image, draw, make_row, pixels_within
+from derender.detection.solids.image import ROW, SIZE, Image, draw, make_row, pose_in
 from derender.detection.solids.interpenetration import highest, lowest, penetration
-from derender.detection.solids.misfit import LIMIT, WALL, change_within, misfit_map
+from derender.detection.solids.misfit import WALL, change_within, misfit_map
 from derender.detection.solids.polish import FREE, resting_energy
 from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
 from derender.detection.solids.support import shadows_overlap, standing_on
-from derender.render.raycast.depth import fill_triangle
+from derender.render.raycast.convex import PREPARED, prepare_solid
+from derender.render.raycast.depth import draw_mesh
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, MESH, SPHERE
@@ -89,7 +90,7 @@ class Placement:
         label[:] = np.where(label >= 0, np.array([*unknown, -1])[label], label)
         for k, item in enumerate(placed):
             if item.known is not None and k != skip:
-                draw_known(self.image, *item.known.triangles, item.row, k, depth, label)
+                draw_known(self.image, item.known.meshes, item.row, k, depth, label)
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
@@ -103,10 +104,9 @@ class Placement:
             away = np.median(points[:, :2], axis=0) - self.image.origin[:2]
             middles.append(np.median(points[:, :2], axis=0) + 0.3 * known.size.min() * away / np.linalg.norm(away))
         yaw = np.arctan2(row[4], row[1]) if abs(row[9]) > 0.9 else 0.0
-        vertices = known.triangles[0]
         for way in known.resting():
             rotation = rotation_z(yaw)[:3, :3] @ way
-            low = float((vertices @ rotation[2]).min())
+            low = float((known.meshes.vertices @ rotation[2]).min())
             for middle in middles:
                 for base in bases:
                     yield make_row(known.proxy, rotation, [*middle, base - low], known.size), base
@@ -120,7 +120,7 @@ class Placement:
         start = row.copy()
         start[SIZE:] = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
         row, energy = walk_known(
-            self.rng, self.image, *known.triangles, start, in_the_way(rows, self.settings), skip, view[0], view[2],
+            self.rng, self.image, known.meshes, start, in_the_way(rows, self.settings), skip, view[0], view[2],
             base, self.settings.slack, self.tilt, scales.copy(), rounds, heat,
         )  # fmt: skip
         row[SIZE:] = known.size
@@ -137,11 +137,9 @@ class Placement:
         low = lowest(found)
         if low > 0.02:
             bases.append(low)
-        vertices, triangles = known.triangles
-        points, buffer = np.empty((len(vertices), 4)), np.empty(self.image.depth.shape)
-        looked = []
+        looked, buffer = [], np.empty(self.image.depth.shape)
         for row, base in self.starts(known, anchor, bases):
-            change, _ = known_misfit(self.image, vertices, triangles, row, view[0], view[2], points, buffer)
+            change = known_misfit(self.image, known.meshes, row, view[0], view[2], buffer)
             looked.append((change, len(looked), row, base))
         refined = []
         for _, number, row, base in sorted(looked, key=lambda each: each[:2])[:TRIED]:
@@ -350,96 +348,55 @@ ACCEPTANCE, GAIN = 0.25, 0.3  # wanted share of accepted steps; change of a log 
 
 
 @njit(cache=True, nogil=True)
-def project(image, vertices, row, points):
-    """Fill points (V, 4) with pixel column, row, inverse depth, height over the floor; return (i0, i1, j0, j1).
-
-    The rectangle is empty where a vertex lies behind the camera.
-    """
-    p = image.projection
-    left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
-    height, width = image.depth.shape
-    for k in range(vertices.shape[0]):
-        a, b, c = vertices[k, 0], vertices[k, 1], vertices[k, 2]
-        x = row[1] * a + row[2] * b + row[3] * c + row[10]
-        y = row[4] * a + row[5] * b + row[6] * c + row[11]
-        z = row[7] * a + row[8] * b + row[9] * c + row[12]
-        w = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
-        points[k, 3] = z
-        if w < 1e-3:
-            return 0, 0, 0, 0
-        u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / w
-        v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / w
-        points[k, 0], points[k, 1], points[k, 2] = u, v, 1.0 / w
-        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
-    return pixels_within(left, right, top, bottom, height, width)
+def draw_into(image, meshes, row, buffer):
+    """Write the inverse depth of an object, the one of some Meshes, into the rectangle of buffer (H, W) that it may
+    show in, 0 where it does not; return the rectangle, (4,)."""
+    height, width = buffer.shape
+    pose, prepared, rectangle = np.empty((4, 4)), np.empty(PREPARED), np.empty(4, np.int64)
+    pose_in(image.pose, row, pose)
+    prepare_solid(MESH, pose, meshes.extents[0], image.camera, width, height, prepared, rectangle)
+    buffer[rectangle[2] : rectangle[3], rectangle[0] : rectangle[1]] = 0.0
+    draw_mesh(buffer, meshes, 0, meshes.extents[0], pose, image.camera, rectangle)
+    return rectangle
 
 
 @njit(cache=True, nogil=True)
-def rasterise(triangles, points, i0, i1, j0, j1, buffer):
-    """Fill the rectangle of buffer (H, W) with the inverse depth of projected triangles, 0 where there is none.
-
-    Triangles are wound counter-clockwise seen from outside; those that face away are left out.
-    """
-    for j in range(j0, j1):
-        for i in range(i0, i1):
-            buffer[j, i] = 0.0
-    for k in range(triangles.shape[0]):
-        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        if (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1]) > (
-            (points[c, 0] - points[a, 0]) * (points[b, 1] - points[a, 1])
-        ):
-            continue  # it faces away
-        fill_triangle(buffer, points[a], points[b], points[c], i0, i1, j0, j1)
-
-
-@njit(cache=True, nogil=True)
-def draw_known(image, vertices, triangles, row, index, depth, label):
+def draw_known(image, meshes, row, index, depth, label):
     """Draw one object into depth and label (H, W), in place."""
-    points = np.empty((vertices.shape[0], 4))
     buffer = np.empty(depth.shape)
-    i0, i1, j0, j1 = project(image, vertices, row, points)
-    rasterise(triangles, points, i0, i1, j0, j1, buffer)
+    i0, i1, j0, j1 = draw_into(image, meshes, row, buffer)
     for j in range(j0, j1):
         for i in range(i0, i1):
-            if buffer[j, i] > 0.0 and 1.0 / buffer[j, i] < depth[j, i]:
+            if buffer[j, i] * depth[j, i] > 1.0:
                 depth[j, i] = 1.0 / buffer[j, i]
                 label[j, i] = index
 
 
 @njit(cache=True, nogil=True)
-def known_misfit(image, vertices, triangles, row, depth, misfit, points, buffer):
-    """Return (change of the misfit when the object is added to a scene, height of its lowest vertex).
-
-    points (>= V, 4) and buffer (H, W) are scratch.
-    """
+def known_misfit(image, meshes, row, depth, misfit, buffer):
+    """Return how the misfit changes when an object is added to a scene. buffer : (H, W) scratch."""
     height, width = image.depth.shape
-    i0, i1, j0, j1 = project(image, vertices, row, points)
-    low = 1e30
-    for k in range(vertices.shape[0]):
-        low = min(low, points[k, 3])
-    if i0 >= i1 or j0 >= j1:
-        return 0.0, low
-    rasterise(triangles, points, i0, i1, j0, j1, buffer)
-    if image.taps.size == 1:
-        total = 0.0
-        for j in range(j0, j1):
-            for i in range(i0, i1):
-                weight = image.weight[j, i]
-                if weight > 0.0 and buffer[j, i] * depth[j, i] > 1.0:
-                    r = image.depth[j, i] - 1.0 / buffer[j, i]
-                    total += min(r * r * weight, LIMIT) - misfit[j, i]
-        return total, low
+    i0, i1, j0, j1 = draw_into(image, meshes, row, buffer)
+    if i0 >= i1:
+        return 0.0
     radius = image.taps.size - 1
     left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
     top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
-    window = np.empty((bottom - top, right - left))
-    for j in range(top, bottom):
-        for i in range(left, right):
-            z = depth[j, i]
-            if i0 <= i < i1 and j0 <= j < j1 and buffer[j, i] > 0.0:
-                z = min(z, 1.0 / buffer[j, i])
-            window[j - top, i - left] = min(z, WALL)
-    return change_within(image, window, left, top, i0, i1, j0, j1, misfit), low
+    window = np.minimum(depth[top:bottom, left:right], WALL)
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            if buffer[j, i] * window[j - top, i - left] > 1.0:
+                window[j - top, i - left] = 1.0 / buffer[j, i]
+    return change_within(image, window, left, top, i0, i1, j0, j1, misfit)
+
+
+@njit(cache=True, nogil=True)
+def lowest_vertex(meshes, row):
+    """Return the height over the floor of an object's lowest vertex."""
+    low = np.inf
+    for vertex in meshes.vertices:
+        low = min(low, row[7] * vertex[0] + row[8] * vertex[1] + row[9] * vertex[2])
+    return row[12] + low
 
 
 @njit(cache=True, nogil=True)
@@ -453,7 +410,7 @@ def rotate_about(row, axis, angle):
 
 
 @njit(cache=True, nogil=True)
-def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misfit, base, slack, tilt, scale, rounds,
+def walk_known(rng, image, meshes, start, others, skip, depth, misfit, base, slack, tilt, scale, rounds,
                heat):  # fmt: skip
     """Return (row, energy) of the best that one object meets on an annealed walk from `start` (ROW,), the rest of the
     scene held still.
@@ -469,7 +426,7 @@ def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misf
     row, trial, best, least = start.copy(), start.copy(), start.copy(), np.inf
     energy = np.inf
     down = 7 + np.argmax(np.abs(row[7:10]))
-    points, buffer = np.empty((vertices.shape[0], 4)), np.empty(image.depth.shape)
+    buffer = np.empty(image.depth.shape)
     for k in range(-1, rounds):  # the first time it is where it begins
         move, step = 0, 0.0
         if k >= 0:
@@ -480,7 +437,7 @@ def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misf
             trial[10 + move] += step
         else:
             rotate_about(trial, 2 if move == 3 else move - 4, 8.0 * step)
-        change, low = known_misfit(image, vertices, triangles, trial, depth, misfit, points, buffer)
+        change, low = known_misfit(image, meshes, trial, depth, misfit, buffer), lowest_vertex(meshes, trial)
         lean = np.arccos(min(abs(trial[down]), 1.0))
         new = change + (resting_energy(trial, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2)
         temperature = heat * (1.0 - k / rounds)

@@ -23,6 +23,7 @@ import numpy as np
 
 from derender.detection.solids.image import SIZE, make_row, rotation_of
 from derender.errors import DerenderError
+from derender.render.raycast.depth import Meshes, flat_meshes
 from derender.scene.codec.yaml_tree import read_yaml
 from derender.scene.pose import rotation_z
 from derender.scene.priors.reading import read_shape
@@ -61,23 +62,15 @@ class Known:
         return kind if kind in (CYLINDER, SPHERE) else BOX
 
     @cached_property
-    def triangles(self) -> tuple[np.ndarray, np.ndarray]:
-        """(V, 3) float64 vertices in object axes, metres, and (T, 3) int32 triangles wound outwards.
-
-        Of a mesh whose outside is not defined every triangle is there twice, once each way round.
-        """
+    def meshes(self) -> Meshes:
+        """Its triangles, in object axes, as the ray caster draws them."""
         if self.shape == "sphere":
             import trimesh
 
             mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.5 * float(self.size[0]))
         else:
             mesh = self.body.shape.mesh(self.body.psi, self.options)
-        faces = np.asarray(mesh.faces, np.int32)
-        if not mesh.is_watertight:
-            faces = np.vstack([faces, faces[:, ::-1]])
-        elif mesh.volume < 0:
-            faces = faces[:, ::-1]
-        return np.ascontiguousarray(mesh.vertices, dtype=np.float64), np.ascontiguousarray(faces)
+        return flat_meshes(((np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)),))
 
     def resting(self) -> list[np.ndarray]:
         """Return the ways in which it may lie, (3, 3) rotations, object to floor.
@@ -138,8 +131,8 @@ def read_library(path: str | Path) -> tuple[Known, ...]:
         if item.size.max() > 2.0:
             remedy = "give scale: 0.001 for a mesh in millimetres" if item.shape == "mesh" else "lengths are metres"
             raise node.fault(f"it is {item.size.max():.4g} m long", remedy)
-        if len(item.triangles[1]) > MOST_TRIANGLES:
-            what = f"the mesh has {len(item.triangles[1])} triangles, more than {MOST_TRIANGLES}"
+        if len(item.meshes.triangles) > MOST_TRIANGLES:
+            what = f"the mesh has {len(item.meshes.triangles)} triangles, more than {MOST_TRIANGLES}"
             raise node.fault(what, "simplify it, or leave hull: true")
         library.append(item)
     if not library:
