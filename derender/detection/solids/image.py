@@ -106,6 +106,28 @@ def prepared_row(image, row):
 
 
 @njit(cache=True, nogil=True)
+def drawn_alone(image, row):
+    """Return the rectangle (4,) that a row's solid may show in, and its inverse depths there, 0 where it does not."""
+    prepared, rectangle = prepared_row(image, row)
+    left, right, top, bottom = rectangle
+    drawn = np.empty((bottom - top, right - left))
+    for j in range(top, bottom):
+        inverse_depths(prepared, left, j, drawn[j - top])
+    return rectangle, drawn
+
+
+@njit(cache=True, nogil=True)
+def put_in(rectangle, drawn, index, depth, label):
+    """Put what was drawn alone into depth and label, in place, where it is nearer."""
+    left, right, top, bottom = rectangle
+    for j in range(top, bottom):
+        for i in range(left, right):
+            if drawn[j - top, i - left] * depth[j, i] > 1.0:
+                depth[j, i] = 1.0 / drawn[j - top, i - left]
+                label[j, i] = index
+
+
+@njit(cache=True, nogil=True)
 def draw(image, rows, skip, depth, label):
     """Draw the floor (label -1; -2 nothing) and all solids but number `skip` into depth and label, in place."""
     height, width = image.depth.shape
@@ -113,17 +135,10 @@ def draw(image, rows, skip, depth, label):
         for i in range(width):
             depth[j, i] = image.floor[j, i]
             label[j, i] = -1 if image.floor[j, i] < FAR else -2
-    seen = np.empty(width)
     for index in range(rows.shape[0]):
         if index != skip:
-            prepared, rectangle = prepared_row(image, rows[index])
-            left, count = rectangle[0], rectangle[1] - rectangle[0]
-            for j in range(rectangle[2], rectangle[3]):
-                inverse_depths(prepared, left, j, seen[:count])
-                for n in range(count):
-                    if seen[n] * depth[j, left + n] > 1.0:
-                        depth[j, left + n] = 1.0 / seen[n]
-                        label[j, left + n] = index
+            rectangle, drawn = drawn_alone(image, rows[index])
+            put_in(rectangle, drawn, index, depth, label)
 
 
 def make_row(kind: int, rotation: Any, centre: Any, size: Any) -> np.ndarray:

@@ -7,9 +7,8 @@ outlier, up to a constant, without the exponentials (Bolles and Fischler's score
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.image import prepared_row
+from derender.detection.solids.image import drawn_alone
 from derender.render.blur import blur_into
-from derender.render.raycast.convex import inverse_depths
 
 LIMIT = 8.0
 AS_SEEN = 1e-8  # metres
@@ -40,31 +39,11 @@ def misfit_map(image, depth, out):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # where nothing is drawn the inverse depth is 0
+@njit(cache=True, nogil=True)
 def added_misfit(image, row, depth, misfit):
     """Return how the misfit changes when the solid `row` is added to a scene with this depth and misfit map."""
-    height, width = image.depth.shape
-    prepared, rectangle = prepared_row(image, row)
-    i0, i1, j0, j1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
-    if i0 >= i1:
-        return 0.0
-    drawn = np.empty(i1 - i0)
-    if image.taps.size > 1:  # the solid changes the pixels that it covers and those within the blur's reach
-        radius = image.taps.size - 1
-        left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
-        top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
-        window = np.minimum(depth[top:bottom, left:right], WALL)  # what the rectangle's neighbourhood is blurred from
-        for j in range(j0, j1):
-            inverse_depths(prepared, i0, j, drawn)
-            part = window[j - top, i0 - left : i1 - left]
-            for n in range(drawn.size):
-                part[n] = min(part[n], 1.0 / drawn[n])
-        return change_within(image, window, left, top, i0, i1, j0, j1, misfit)
-    total = 0.0
-    for j in range(j0, j1):
-        inverse_depths(prepared, i0, j, drawn)
-        total += change_of_row(image.depth[j, i0:i1], image.weight[j, i0:i1], depth[j, i0:i1], drawn, misfit[j, i0:i1])
-    return total
+    rectangle, drawn = drawn_alone(image, row)
+    return change_by(image, rectangle, drawn, depth, misfit)
 
 
 @njit(cache=True, nogil=True)
@@ -76,6 +55,38 @@ def added_misfits(image, rows, depth, misfit):
     return found
 
 
+@njit(cache=True, nogil=True, error_model="numpy")  # where nothing is drawn the inverse depth is 0
+def change_by(image, rectangle, drawn, depth, misfit):
+    """Return how the misfit changes when what was drawn alone is added to a scene with this depth and misfit map."""
+    height, width = image.depth.shape
+    i0, i1, j0, j1 = rectangle
+    total = 0.0
+    if i0 >= i1:
+        return total
+    radius = image.taps.size - 1
+    if radius == 0:
+        for j in range(j0, j1):
+            total += change_of_row(image.depth[j, i0:i1], image.weight[j, i0:i1], depth[j, i0:i1], drawn[j - j0],
+                                   misfit[j, i0:i1])  # fmt: skip
+        return total
+    # It changes the pixels that it covers and those within the blur's reach; the window is what these are blurred from.
+    left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
+    top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
+    window = np.minimum(depth[top:bottom, left:right], WALL)
+    for j in range(j0, j1):
+        part, inverse = window[j - top, i0 - left : i1 - left], drawn[j - j0]
+        for n in range(part.size):
+            part[n] = min(part[n], 1.0 / inverse[n])
+    i0, i1, j0, j1 = max(i0 - radius, 0), min(i1 + radius, width), max(j0 - radius, 0), min(j1 + radius, height)
+    blurred = np.empty((j1 - j0, i1 - i0))
+    blur_into(image.taps, window, i0 - left, i1 - left, j0 - top, j1 - top, blurred)
+    for j in range(j0, j1):
+        clear = window[j - top, i0 - left : i1 - left]
+        total += change_of_blurred(image.depth[j, i0:i1], image.weight[j, i0:i1], clear, blurred[j - j0],
+                                   misfit[j, i0:i1])  # fmt: skip
+    return total
+
+
 @njit(cache=True, nogil=True, fastmath={"reassoc"}, error_model="numpy", borrows=True)
 def change_of_row(seen, weight, depth, drawn, misfit):
     """Return how the misfit of pixels (n,) changes where inverse depths are drawn that are nearer than before."""
@@ -85,26 +96,6 @@ def change_of_row(seen, weight, depth, drawn, misfit):
         r = seen[n] - z
         change = min(r * r * weight[n], LIMIT) - misfit[n]
         total += change if z < depth[n] and weight[n] > 0.0 else 0.0
-    return total
-
-
-@njit(cache=True, nogil=True)
-def change_within(image, window, left, top, i0, i1, j0, j1, misfit):
-    """Return how the misfit changes when something is drawn into pixels i0..i1, j0..j1 (ends excluded).
-
-    window : depth, not blurred, with what was drawn, of these pixels and all that they are blurred with; its first
-    pixel is (left, top).
-    """
-    height, width = image.depth.shape
-    radius = image.taps.size - 1
-    i0, i1, j0, j1 = max(i0 - radius, 0), min(i1 + radius, width), max(j0 - radius, 0), min(j1 + radius, height)
-    blurred = np.empty((j1 - j0, i1 - i0))
-    blur_into(image.taps, window, i0 - left, i1 - left, j0 - top, j1 - top, blurred)
-    total = 0.0
-    for j in range(j0, j1):
-        drawn = window[j - top, i0 - left : i1 - left]
-        total += change_of_blurred(image.depth[j, i0:i1], image.weight[j, i0:i1], drawn, blurred[j - j0],
-                                   misfit[j, i0:i1])  # fmt: skip
     return total
 
 

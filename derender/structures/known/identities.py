@@ -15,9 +15,9 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import ROW, SIZE, Image, draw, make_row, pose_in
+from derender.detection.solids.image import ROW, SIZE, Image, draw, make_row, pose_in, put_in
 from derender.detection.solids.interpenetration import highest, lowest, penetration
-from derender.detection.solids.misfit import WALL, change_within, misfit_map
+from derender.detection.solids.misfit import change_by, misfit_map
 from derender.detection.solids.polish import FREE, resting_energy
 from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
 from derender.detection.solids.support import shadows_overlap, standing_on
@@ -90,7 +90,7 @@ class Placement:
         label[:] = np.where(label >= 0, np.array([*unknown, -1])[label], label)
         for k, item in enumerate(placed):
             if item.known is not None and k != skip:
-                draw_known(self.image, item.known.meshes, item.row, k, depth, label)
+                put_in(*known_alone(self.image, item.known.meshes, item.row), k, depth, label)
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
@@ -137,9 +137,9 @@ class Placement:
         low = lowest(found)
         if low > 0.02:
             bases.append(low)
-        looked, buffer = [], np.empty(self.image.depth.shape)
+        looked = []
         for row, base in self.starts(known, anchor, bases):
-            change = known_misfit(self.image, known.meshes, row, view[0], view[2], buffer)
+            change = change_by(self.image, *known_alone(self.image, known.meshes, row), view[0], view[2])
             looked.append((change, len(looked), row, base))
         refined = []
         for _, number, row, base in sorted(looked, key=lambda each: each[:2])[:TRIED]:
@@ -348,46 +348,16 @@ ACCEPTANCE, GAIN = 0.25, 0.3  # wanted share of accepted steps; change of a log 
 
 
 @njit(cache=True, nogil=True)
-def draw_into(image, meshes, row, buffer):
-    """Write the inverse depth of an object, the one of some Meshes, into the rectangle of buffer (H, W) that it may
-    show in, 0 where it does not; return the rectangle, (4,)."""
-    height, width = buffer.shape
+def known_alone(image, meshes, row):
+    """Return what `drawn_alone` does of a known object, the one of some Meshes, where a row has its proxy."""
+    height, width = image.depth.shape
     pose, prepared, rectangle = np.empty((4, 4)), np.empty(PREPARED), np.empty(4, np.int64)
     pose_in(image.pose, row, pose)
     prepare_solid(MESH, pose, meshes.extents[0], image.camera, width, height, prepared, rectangle)
-    buffer[rectangle[2] : rectangle[3], rectangle[0] : rectangle[1]] = 0.0
+    left, right, top, bottom = rectangle
+    buffer = np.zeros((bottom, right))
     draw_mesh(buffer, meshes, 0, meshes.extents[0], pose, image.camera, rectangle)
-    return rectangle
-
-
-@njit(cache=True, nogil=True)
-def draw_known(image, meshes, row, index, depth, label):
-    """Draw one object into depth and label (H, W), in place."""
-    buffer = np.empty(depth.shape)
-    i0, i1, j0, j1 = draw_into(image, meshes, row, buffer)
-    for j in range(j0, j1):
-        for i in range(i0, i1):
-            if buffer[j, i] * depth[j, i] > 1.0:
-                depth[j, i] = 1.0 / buffer[j, i]
-                label[j, i] = index
-
-
-@njit(cache=True, nogil=True)
-def known_misfit(image, meshes, row, depth, misfit, buffer):
-    """Return how the misfit changes when an object is added to a scene. buffer : (H, W) scratch."""
-    height, width = image.depth.shape
-    i0, i1, j0, j1 = draw_into(image, meshes, row, buffer)
-    if i0 >= i1:
-        return 0.0
-    radius = image.taps.size - 1
-    left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
-    top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
-    window = np.minimum(depth[top:bottom, left:right], WALL)
-    for j in range(j0, j1):
-        for i in range(i0, i1):
-            if buffer[j, i] * window[j - top, i - left] > 1.0:
-                window[j - top, i - left] = 1.0 / buffer[j, i]
-    return change_within(image, window, left, top, i0, i1, j0, j1, misfit)
+    return rectangle, buffer[top:, left:].copy()
 
 
 @njit(cache=True, nogil=True)
@@ -426,7 +396,6 @@ def walk_known(rng, image, meshes, start, others, skip, depth, misfit, base, sla
     row, trial, best, least = start.copy(), start.copy(), start.copy(), np.inf
     energy = np.inf
     down = 7 + np.argmax(np.abs(row[7:10]))
-    buffer = np.empty(image.depth.shape)
     for k in range(-1, rounds):  # the first time it is where it begins
         move, step = 0, 0.0
         if k >= 0:
@@ -437,7 +406,8 @@ def walk_known(rng, image, meshes, start, others, skip, depth, misfit, base, sla
             trial[10 + move] += step
         else:
             rotate_about(trial, 2 if move == 3 else move - 4, 8.0 * step)
-        change, low = known_misfit(image, meshes, trial, depth, misfit, buffer), lowest_vertex(meshes, trial)
+        rectangle, drawn = known_alone(image, meshes, trial)
+        change, low = change_by(image, rectangle, drawn, depth, misfit), lowest_vertex(meshes, trial)
         lean = np.arccos(min(abs(trial[down]), 1.0))
         new = change + (resting_energy(trial, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2)
         temperature = heat * (1.0 - k / rounds)
