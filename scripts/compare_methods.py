@@ -100,7 +100,7 @@ def main():
                 compare_scenes(scene_json(posterior.best_graph()), {"objects": objects}, ignored=hidden)
             )
             best = posterior.best_part
-            periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else None
+            periods = dict(zip(best.addresses, best.periods, strict=True))
             trusted[method] += not chain_doubts(posterior, parameter_rows(best.addresses, best.values, periods))
             told[method] = statements(posterior, solids)
             for key in set(told["auto"]) | set(told[method]):

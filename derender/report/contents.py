@@ -78,7 +78,7 @@ def report_of(
         # Which draws are shown must not change what `infer` wrote with a seed: the picture has its own.
         draws = [drawn.solids() for drawn in posterior.graphs(np.random.default_rng(0), SHOWN_DRAWS * shown)]
         best = posterior.best_part
-        periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else {}
+        periods = dict(zip(best.addresses, best.periods, strict=True))
         rows = tables.parameter_rows(best.addresses, best.values, periods)
         structures = told_structures(posterior)
     fit, doubts = None, trust.chain_doubts(posterior, rows) if posterior is not None else ()

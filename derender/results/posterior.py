@@ -56,11 +56,15 @@ class StructurePosterior:
     log_prior: np.ndarray  # (chains, draws) float64
     log_likelihood: np.ndarray  # (chains, draws) float64
     weight: float = 1.0  # posterior probability of the structure
-    periods: tuple[float | None, ...] = ()  # (P,) of float or None, of angles
+    periods: tuple[float | None, ...] = ()  # (P,) of angles, None of other numbers; left out: none is an angle
     root_pose: np.ndarray | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
     weight_error: float = 0.0  # its standard error
     weight_interval: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.periods:
+            object.__setattr__(self, "periods", (None,) * len(self.addresses))
 
     def __repr__(self) -> str:
         chains, draws, size = self.values.shape
@@ -358,7 +362,7 @@ def check_parts(parts: Sequence[Any]) -> None:
             for parameter in (parameter for parameter in sizes if parameter.name == number):
                 check_range(float(draws.min()), parameter, strict=True)
                 check_range(float(draws.max()), parameter, strict=True)
-        if len(part.periods) not in (0, unknowns):
+        if len(part.periods) != unknowns:
             raise DerenderError(f"it has {len(part.periods)} periods for {unknowns} unknowns")
         if any(period is not None and not period > 0.0 for period in part.periods):
             raise DerenderError("a period is no length")

@@ -164,11 +164,6 @@ class Constraint:
     type: str = "does-not-touch"  # "does-not-touch"
     margin: float = 0.0  # metres that must be left between their surfaces
 
-    def renamed(self, old: str, new: str) -> "Constraint":
-        """Return the same relation after an object was renamed."""
-        first, second = (new if name == old else name for name in (self.first, self.second))
-        return Constraint(first, second, self.type, self.margin)
-
 
 @dataclass(frozen=True, eq=False)
 class SceneGraph:
@@ -337,22 +332,20 @@ class SceneGraph:
     # ---- changes --------------------------------------------------------------------------------------------------
 
     def replace(self, name: str, /, **changes: Any) -> "SceneGraph":
-        """Return the graph with fields of one vertex changed; `name="new"` renames it wherever it is named."""
+        """Return the graph with fields of one vertex changed, all but its name."""
         old = self.vertex(name)
         new = replace(old, **changes)
-        vertices = [new if vertex is old else vertex for vertex in self.vertices]
-        constraints = self.constraints
-        if new.name != name:
-            vertices = [
-                replace(
-                    vertex,
-                    parent=new.name if vertex.parent == name else vertex.parent,
-                    supports=tuple(new.name if other == name else other for other in vertex.supports),
-                )
-                for vertex in vertices
-            ]
-            constraints = tuple(constraint.renamed(name, new.name) for constraint in constraints)
-        return replace(self, vertices=tuple(vertices), constraints=constraints)
+        return replace(self, vertices=tuple(new if vertex is old else vertex for vertex in self.vertices))
+
+    def renamed(self, names: Mapping[str, str]) -> "SceneGraph":
+        """Return the graph with some vertices called otherwise wherever they are named. names : new by present ones."""
+        called = {name: names.get(name, name) for name in (ROOT, *self.names)}
+        vertices = tuple(
+            replace(v, name=called[v.name], parent=called[v.parent], supports=tuple(called[s] for s in v.supports))
+            for v in self.vertices
+        )
+        relations = tuple(replace(c, first=called[c.first], second=called[c.second]) for c in self.constraints)
+        return replace(self, vertices=vertices, constraints=relations)
 
     def add(self, *vertices: Vertex) -> "SceneGraph":
         """Return the graph with vertices appended; those before them stay where they are."""

@@ -90,7 +90,7 @@ def without_object(part: "StructurePosterior", name: str) -> "StructurePosterior
         graph=part.graph.remove(name),
         addresses=tuple(part.addresses[k] for k in kept),
         values=part.values[..., kept],
-        periods=tuple(part.periods[k] for k in kept) if part.periods else (),
+        periods=tuple(part.periods[k] for k in kept),
     )
 
 
@@ -159,7 +159,7 @@ def _with_all(
             values.append(drawn)
             periods.append(None)
     return replace(part, graph=graph, addresses=tuple(addresses), values=np.concatenate(values, axis=2),
-                   periods=tuple(periods) if part.periods else ())  # fmt: skip
+                   periods=tuple(periods))  # fmt: skip
 
 
 MOST_VERTICES = 700  # of what is seen; a surface of more pixels is sampled

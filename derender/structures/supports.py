@@ -89,12 +89,7 @@ def new_names(parts: list[StructurePosterior], more: list[StructurePosterior], n
 
 def renamed(part: StructurePosterior, names: Any, patch: list[float] | None) -> StructurePosterior:
     """Return a StructurePosterior with other names, its plane as far as a patch reaches."""
-    graph = bounded(part.graph, FLOOR_NAME, patch)
-    waiting = {f"{new} ": old for old, new in names.items() if old in graph.names}  # no new name is an old one
-    for new, old in waiting.items():
-        graph = graph.replace(old, name=new)
-    for new in waiting:
-        graph = graph.replace(new, name=new.strip())
+    graph = bounded(part.graph, FLOOR_NAME, patch).renamed(names)
     addresses = tuple(f"{names.get(name, name)}{dot}{rest}" for name, dot, rest in
                       (address.partition(".") for address in part.addresses))  # fmt: skip
     return replace(part, graph=graph, addresses=addresses)
@@ -125,7 +120,7 @@ def multiplied(part: StructurePosterior, other: StructurePosterior, weight: floa
         addresses=(*first.addresses, *(second.addresses[k] for k in kept),
                    *(f"{name}.contact.{key}" for name in hanging for key in POSE)),
         values=np.concatenate([first.values, second.values[..., kept], *numbers[:, None]], axis=2),
-        periods=(*periods_of(first), *(periods_of(second)[k] for k in kept), *(None,) * (len(hanging) * len(POSE))),
+        periods=(*first.periods, *(second.periods[k] for k in kept), *(None,) * (len(hanging) * len(POSE))),
         log_prior=first.log_prior + second.log_prior,
         log_likelihood=first.log_likelihood + second.log_likelihood,
         weight=weight,
@@ -154,8 +149,3 @@ def hung_anew(part: StructurePosterior, other: StructurePosterior, names: list[s
             values = floating(inverse(np.asarray(root)) @ poses[name]).values
             found[k, draw] = [values[key] for key in POSE]
     return found
-
-
-def periods_of(part: StructurePosterior) -> Any:
-    """Return the period of each unknown of a StructurePosterior, None for those without."""
-    return part.periods or (None,) * len(part.addresses)

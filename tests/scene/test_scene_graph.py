@@ -117,8 +117,10 @@ def test_tree_queries():
 
 def test_changes():
     graph = figure_3("contacts")
-    renamed = graph.replace("green", name="lime")
+    renamed = graph.renamed({"green": "lime"})
     assert renamed.vertex("red").parent == "lime" and "green" not in renamed.names
+    exchanged = graph.renamed({"green": "red", "red": "green"})
+    assert exchanged.vertex("green").parent == "red" and exchanged.renamed({"green": "red", "red": "green"}) == graph
     assert graph.remove("red").names == ("floor", "green")
     assert graph.remove("red").add(Vertex("ball", "sphere", {"radius": 0.1})).names[-1] == "ball"
 

@@ -388,15 +388,7 @@ def matched(graph: SceneGraph, reference: SceneGraph, base: frozenset[str]) -> S
                 number += 1
             names[name] = f"other_{number}"
     order = {name: place for place, name in enumerate(reference.names)}
-    return _sorted(called(graph, names), order)
-
-
-def called(graph: SceneGraph, names: Mapping[str, str]) -> SceneGraph:
-    """Return the graph with other names, by their present ones."""
-    vertices = tuple(
-        replace(v, name=names.get(v.name, v.name), parent=names.get(v.parent, v.parent)) for v in graph.vertices
-    )
-    return replace(graph, vertices=vertices)
+    return _sorted(graph.renamed(names), order)
 
 
 def unnamed(graph: SceneGraph) -> tuple:
