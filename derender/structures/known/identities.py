@@ -15,11 +15,11 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import ROW, SIZE, Image, draw, make_row, pose_in, put_in
+from derender.detection.solids.image import ROW, SIZE, Image, drawn_alone, make_row, pose_in, put_in
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import change_by, misfit_map
 from derender.detection.solids.polish import FREE, resting_energy
-from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
+from derender.detection.solids.state import FLOOR, State, held_out, in_the_way, run_polish
 from derender.detection.solids.support import shadows_overlap, standing_on
 from derender.render.raycast.convex import PREPARED, prepare_solid
 from derender.render.raycast.depth import draw_mesh
@@ -72,25 +72,16 @@ class Placement:
 
     def __post_init__(self) -> None:
         self.tilt = max(self.settings.tilt, LEAST_TILT)
-        _, self.label, _, _ = self.view_of(self.state.rows)
+        _, self.label, _, _ = held_out(self.image, self.state, -1)
         self.rivals: list[tuple[float, list[Placed], set[int]]] = []  # nats worse; instead of what at which anchors
-
-    def view_of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Return depth, label, misfit, total of rows over the floor."""
-        depth, label, misfit = blank(self.image)
-        draw(self.image, rows, -1, depth, label)
-        return depth, label, misfit, misfit_map(self.image, depth, misfit)
 
     def view(self, placed: list[Placed], skip: int = -1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return depth, label and misfit of the scene without number `skip`."""
-        depth, label, misfit = blank(self.image)
-        unknown = [k for k, item in enumerate(placed) if item.known is None and k != skip]
-        rows = np.array([placed[k].row for k in unknown]).reshape(-1, 16)
-        draw(self.image, rows, -1, depth, label)
-        label[:] = np.where(label >= 0, np.array([*unknown, -1])[label], label)
-        for k, item in enumerate(placed):
-            if item.known is not None and k != skip:
-                put_in(*known_alone(self.image, item.known.meshes, item.row), k, depth, label)
+        depth, label, misfit, _ = held_out(self.image, State(), -1)  # the floor alone
+        for k, (row, known) in enumerate((item.row, item.known) for item in placed):
+            if k != skip:
+                alone = drawn_alone(self.image, row) if known is None else known_alone(self.image, known.meshes, row)
+                put_in(*alone, k, depth, label)
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
@@ -190,7 +181,7 @@ class Placement:
             chance = self.settings.temper * np.log(np.maximum(2.0 * blurred / EXACT, 1.0)).sum()
 
             def misfit(rows, rest=rest):
-                return self.view_of(np.vstack([rest, rows]))[3]
+                return held_out(self.image, State(np.vstack([rest, rows])), -1)[3]
 
             found: list[tuple[float, list[Placed]]] = []
             for layout in (each for known in self.library for each in layouts_of(space, known)):
@@ -202,7 +193,7 @@ class Placement:
             if not found:
                 continue
             as_found = [self.unknown(anchor) for anchor in group]
-            energy = self.view_of(np.vstack([rest, self.state.rows[group]]))[3]
+            energy = misfit(self.state.rows[group])
             found.append((energy + sum(self.price_of_unknown(item.row, item) for item in as_found), as_found))
             found.sort(key=lambda each: each[0])
             (best, boxes), known = found[0], found[0][1][0].known
