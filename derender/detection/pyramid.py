@@ -25,6 +25,7 @@ LEAST_SIGMA, MOST_SIGMA, MOST_GROWTH = 1e-4, 1.0, 1.0  # the last two as a likel
 GROWING = 1.08  # times the noise at the nearest depths from which that at the farthest is clearly more
 MOST_DEPTHS, ENOUGH = 8, 100  # at which the noise is told, and residuals, at least, that tell it at one
 USUAL_OFF, POLISHED = 0.05, 2  # of the log of a spread: what 100 residuals leave open; steps of least squares
+EQUALLY_FAR = 1e-9  # of the normal equations' determinant, by rounding, where all depths are the same
 
 
 def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
@@ -37,40 +38,72 @@ def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
     if len(r) == 0:
         return LEAST_SIGMA, 0.0
     count = max(min(MOST_DEPTHS, len(z) // ENOUGH), 1)
-    cuts = np.arange(1, count) * len(z) // count
-    order = np.argpartition(z, cuts)
-    spreads = np.array([max(spread_of(part), LEAST_SIGMA) for part in np.split(r[order], cuts)])
-    squares = np.array([np.mean(part**2) for part in np.split(z[order], cuts)])
-    sigma, growth = noise_through(spreads, squares) if count > 1 else (spreads[0], 0.0)
-    if sigma + growth * squares.max() < GROWING * (sigma + growth * squares.min()):
+    some = np.sort(z[:: max(1, len(z) // BEGIN)])  # a tenth of what it takes to order all of them
+    limits = some[np.arange(1, count) * len(some) // count]
+    ordered, ends, squares = by_depth(r, z, limits)
+    told = np.diff(ends) > min(ENOUGH, len(z)) // 2  # fewer where many are at one depth
+    parts = [ordered[begin:end] for begin, end in zip(ends[:-1][told], ends[1:][told], strict=True)]
+    spreads = np.array([max(spread_of(part), LEAST_SIGMA) for part in parts])
+    sigma, growth = noise_through(spreads, squares[told]) if told.sum() > 1 else (spreads[0], 0.0)
+    if sigma + growth * squares[told].max() < GROWING * (sigma + growth * squares[told].min()):
         sigma, growth = spread_of(r), 0.0
     return float(np.clip(sigma, LEAST_SIGMA, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
 
 
-def noise_through(spreads: np.ndarray, squares: np.ndarray) -> tuple[float, float]:
+@njit(cache=True, nogil=True)
+def by_depth(residual, depth, limits):
+    """Return residuals (N,) in the order of their depths between limits (K - 1,), which ascend; the ends (K + 1,) of
+    each lot of them; and the mean squares (K,) of its depths."""
+    which, ends = np.zeros(len(depth), np.int64), np.zeros(len(limits) + 2, np.int64)
+    squares = np.zeros(len(limits) + 1)
+    for n in range(len(depth)):
+        for limit in limits:
+            which[n] += depth[n] >= limit
+        ends[which[n] + 1] += 1
+        squares[which[n]] += depth[n] ** 2
+    for k in range(len(squares)):
+        squares[k] /= max(ends[k + 1], 1)
+        ends[k + 1] += ends[k]
+    ordered, place = np.empty(len(residual)), ends.copy()
+    for n in range(len(residual)):
+        ordered[place[which[n]]] = residual[n]
+        place[which[n]] += 1
+    return ordered, ends, squares
+
+
+@njit(cache=True, nogil=True)
+def noise_through(spreads, squares):
     """Return (sigma, growth) that go with the spreads (K,) of noise at depths, given squared (K,).
 
     The line through two of them that has the least sum of |log(spread / line)|, as what is unexplained at one depth may
     scatter ten times as wide there; then towards the least one, by least squares in which those far off weigh less.
     """
-    first, second = np.triu_indices(len(spreads), 1)
-    apart = np.maximum(squares[second] - squares[first], 1e-12)
-    growths = np.maximum((spreads[second] - spreads[first]) / apart, 0.0)
-    growths = np.minimum(growths, (spreads[first] - LEAST_SIGMA) / np.maximum(squares[first], 1e-12))
-    lines = np.column_stack([spreads[first] - growths * squares[first], growths])
-    terms = np.column_stack([np.ones_like(squares), squares])
-    off = np.log(spreads / (lines @ terms.T))
-    line = lines[np.abs(off).sum(axis=1).argmin()]
+    sigma, growth, least = 0.0, 0.0, np.inf
+    for i in range(len(spreads)):
+        for j in range(i + 1, len(spreads)):
+            slope = max((spreads[j] - spreads[i]) / max(squares[j] - squares[i], 1e-12), 0.0)
+            slope = min(slope, (spreads[i] - LEAST_SIGMA) / max(squares[i], 1e-12))
+            begin, off = spreads[i] - slope * squares[i], 0.0
+            for k in range(len(spreads)):
+                off += abs(np.log(spreads[k] / (begin + slope * squares[k])))
+            if off < least:
+                sigma, growth, least = begin, slope, off
     for _ in range(POLISHED):
-        at = terms @ line
-        off = np.log(spreads / at)
-        slopes = terms / at[:, None]
-        weighted = slopes / np.maximum(np.abs(off), USUAL_OFF)[:, None]
-        found = line + np.linalg.lstsq(slopes.T @ weighted, off @ weighted, rcond=None)[0]  # all may be equally far
-        if found[0] < LEAST_SIGMA or found[1] < 0.0:
+        a, b, c, u, v = 0.0, 0.0, 0.0, 0.0, 0.0  # of the normal equations
+        for k in range(len(spreads)):
+            at = sigma + growth * squares[k]
+            off, one, other = np.log(spreads[k] / at), 1.0 / at, squares[k] / at
+            weight = 1.0 / max(abs(off), USUAL_OFF)
+            a, b, c = a + weight * one * one, b + weight * one * other, c + weight * other * other
+            u, v = u + weight * one * off, v + weight * other * off
+        determinant = a * c - b * b
+        if determinant <= EQUALLY_FAR * a * c:
             break
-        line = found
-    return float(line[0]), float(line[1])
+        further, steeper = (c * u - b * v) / determinant, (a * v - b * u) / determinant
+        if sigma + further < LEAST_SIGMA or growth + steeper < 0.0:
+            break
+        sigma, growth = sigma + further, growth + steeper
+    return sigma, growth
 
 
 def spread_of(residual: np.ndarray) -> float:

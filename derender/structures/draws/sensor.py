@@ -162,7 +162,7 @@ def first_sensor(
     into = np.eye(4) if into is None else into
     clean = model_depth(chart, values, camera, into)
     held = NONE if shares_noise(prior) else held_by(prior)
-    fitted = partial(robust_fit, observed, clean, outliers=FIRST_OUTLIERS, held=held)
+    fitted = partial(robust_fit, observed, clean, rates=(FIRST_OUTLIERS,), held=held)
     best = max((fitted(blurred) for blurred in BLURS), key=itemgetter(0))
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
@@ -222,30 +222,36 @@ def robust_fit(
     observed: np.ndarray,
     clean: np.ndarray,
     blurred: float,
-    outliers: float,
+    rates: tuple[float, ...],
     every: int = 1,
     held: Mapping[str, float] = NONE,
+    believed: LikelihoodPrior | None = None,
 ) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers) of a robust likelihood with a blur of so many pixels, the noise fitted.
 
     The density is that of the depths where something returned; whether it did says nothing here: pixels are lost at
     edges and elsewhere at one rate, the image's own.
-    every : look at each `every`-th pixel of each `every`-th row. held : numbers that are known, whatever is asked.
+    rates : of outliers, the best of which is taken. every : look at each `every`-th pixel of each `every`-th row.
+    held : numbers that are known, whatever is asked. believed : what is believed of them, which counts too.
     """
-    blurred, outliers = held.get("blur", blurred), held.get("outlier", outliers)
+    blurred, rates = held.get("blur", blurred), (held["outlier"],) if "outlier" in held else rates
     model = blur(clean, blurred)[::every, ::every]
     residual = shown(observed)[::every, ::every] - model
     sigma, growth = noise_of(residual, model)
     sigma, growth = held.get("sigma", sigma), held.get("sigma_growth", growth)
     seen = np.isfinite(residual)
     missing = float(np.clip(np.mean(np.isnan(observed)), LEAST_MISSING, MOST_MISSING))
-    numbers = {"sigma": sigma, "sigma_growth": growth, "blur": float(blurred), "outlier": outliers, "missing": missing,
+    numbers = {"sigma": sigma, "sigma_growth": growth, "blur": float(blurred), "missing": missing,
                "missing_edge": missing, "background": BACKGROUND, **outlier_range(observed)}  # fmt: skip
     numbers |= {name: held[name] for name in ("missing", "missing_edge") if name in held}
     spread = sigma + growth * model[seen] ** 2
     surface = np.exp(-0.5 * (residual[seen] / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-    density = np.log((1.0 - outliers) * surface + outliers / (numbers["far"] - numbers["near"])).sum()
-    return float(density), "robust", numbers
+    found = []
+    for outlier in rates:
+        density = np.log((1.0 - outlier) * surface + outlier / (numbers["far"] - numbers["near"])).sum()
+        told = {**numbers, "outlier": outlier}
+        found.append((float(density) + log_prior_of(believed, told), "robust", told))
+    return max(found, key=itemgetter(0))
 
 
 def outlier_range(observed: np.ndarray) -> dict[str, float]:
@@ -287,14 +293,14 @@ def best_fit(
     """
     held = held_by(prior)
     fitted = partial(robust_fit, observed, clean, every=every, held=held)
-    best = max((fitted(blurred, rates[0]) for blurred in blurs), key=itemgetter(0))
+    best = max((fitted(blurred, rates[:1]) for blurred in blurs), key=itemgetter(0))
     for step in steps:
         at = best[2]["blur"]
         if at > 0.0:
-            trials = [fitted(max(at + way * step, 0.0), rates[0]) for way in (-1, 1)]
+            trials = [fitted(max(at + way * step, 0.0), rates[:1]) for way in (-1, 1)]
             best = max([best, *trials], key=itemgetter(0))
     at = best[2]["blur"]
-    robust = max([best, *(fitted(at, rate) for rate in rates[1:])], key=itemgetter(0))
+    robust = max(best, fitted(at, rates[1:]), key=itemgetter(0))
     gaussian = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
     return gaussian_fit(observed, clean, at, every, held) if gaussian else robust
 
@@ -325,17 +331,15 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
         return under_shared_noise(sensor, clean, None)
     held = held_by(sensor.prior)
 
-    def fitted(blurred, outliers):
+    def fitted(blurred, *rates):
         if sensor.likelihood.name == "gaussian":
             fit = gaussian_fit(sensor.observed, clean, blurred, held=held)
-        else:
-            fit = robust_fit(sensor.observed, clean, blurred, outliers, held=held)
-        return (fit[0] + log_prior_of(sensor.prior, fit[2]), *fit[1:])
+            return (fit[0] + log_prior_of(sensor.prior, fit[2]), *fit[1:])
+        return robust_fit(sensor.observed, clean, blurred, rates, held=held, believed=sensor.prior)
 
     rate = sensor.values.get("outlier", RATES[0])
     at = better_blur(sensor.values["blur"], lambda blurred: fitted(blurred, rate)[0])
-    rates = () if sensor.likelihood.name == "gaussian" else RATES
-    best = max((fitted(at, each) for each in dict.fromkeys((rate, *rates))), key=itemgetter(0))
+    best = fitted(at, rate, *RATES)
     return sensor.changed(best[1], **best[2])
 
 
@@ -353,7 +357,7 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
     def density(blurred):
         if image is not None:
             return image.set_values({"blur": blurred})
-        fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, outliers=RATES[0])
+        fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, rates=RATES[:1])
         return fit(sensor.observed, clean, blurred, held=known)[0]
 
     ends = []
@@ -377,7 +381,7 @@ def image_likelihood(
     every = max(1, camera.width // LOOKED_AT)
     if shares_noise(prior):
         clean = np.minimum(clean, BACKGROUND)
-        found = robust_fit(observed, clean, 0.0, FIRST_OUTLIERS)[2]
+        found = robust_fit(observed, clean, 0.0, (FIRST_OUTLIERS,))[2]
         sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
         found = under_shared_noise(sensor, clean, 0)
         return found.likelihood.name, found.values
