@@ -28,7 +28,15 @@ from derender.structures.alternatives import (
 )
 from derender.structures.changes import longer, other_shapes, stood_up, uprighted
 from derender.structures.draws.chart import HELD
-from derender.structures.draws.metropolis import engine_of, evaluate, load, sample, walker_at, with_blurs_drawn
+from derender.structures.draws.metropolis import (
+    blurrings,
+    engine_of,
+    evaluate,
+    load,
+    sample,
+    walker_at,
+    with_blurs_drawn,
+)
 from derender.structures.draws.refined import (
     Refined,
     at_mode,
@@ -408,7 +416,7 @@ def test_views_hold_their_own_blur_whatever_is_drawn_from_them():
     walker = walker_at(views, best.chart, best.values)
     before = tuple(walker.densities)
     kept = views.engines.settings.copy()
-    other = with_blurs_drawn(rng, walker, best.sensor, [np.array([1.5])])
+    other = with_blurs_drawn(rng, walker, blurrings(views, best.sensor, [np.array([1.5])]))
     assert other.engine.engines.taps.shape != views.engines.taps.shape
     assert tuple(other.densities) == load(other.engine, best.chart, best.values) != before
     assert np.array_equal(views.engines.settings[:, [RADIUS, BLUR]], kept[:, [RADIUS, BLUR]])
@@ -425,10 +433,11 @@ def test_a_blur_is_drawn_as_the_image_and_the_prior_have_it():
     logs = [sensor.likelihood.log_density(sensor.observed, clean, {**best.sensor.values, "blur": blurred})
             for blurred in some]  # fmt: skip
     walker = walker_at(engine_of(best.chart, best.sensor), best.chart, best.values)
+    ways = blurrings(walker.engine, best.sensor, [some])
     taps = {taps_of(blurred).tobytes(): k for k, blurred in enumerate(some)}
     met = np.zeros(len(some))
     for _ in range(2000):
-        walker = with_blurs_drawn(rng, walker, best.sensor, [some])
+        walker = with_blurs_drawn(rng, walker, ways)
         met[taps[walker.engine.engines.taps[0].tobytes()]] += 1
     shares = np.exp(logs - np.logaddexp.reduce(logs))
     assert 0.05 < shares.max() < 0.95, "or it tests nothing"

@@ -34,7 +34,7 @@ from derender.render.raycast.engine import (
     with_blur,
 )
 from derender.render.raycast.evaluator import engine_under
-from derender.render.raycast.state import CANDIDATE, CURRENT
+from derender.render.raycast.state import CANDIDATE, CURRENT, EngineState
 from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import Evidence, evidence
 from derender.sampling.metropolis import DENSITY, PRIOR, Steps, mean_scale, walk
@@ -377,8 +377,9 @@ def final_draws(
     """
     pieces: list[list[Draws]] = []
     proposals = [steps] * len(walkers)
-    for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(map(len, blurs)) else 1):
-        walkers = [with_blurs_drawn(rng, walker, sensor, blurs) for walker in walkers]
+    ways = blurrings(walkers[0].engine, sensor, blurs)
+    for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(ways) else 1):
+        walkers = [with_blurs_drawn(rng, walker, ways) for walker in walkers]
         pieces.append(side_by_side(rng, walkers, proposals, 1.0, 0.0, len(piece), thin))
     joined = [tuple(np.concatenate(arrays) for arrays in zip(*[each[:2] for each in chain], strict=True))
               for chain in zip(*pieces, strict=True)]  # fmt: skip
@@ -387,21 +388,41 @@ def final_draws(
             for (values, densities), share in zip(joined, accepted, strict=True)]  # fmt: skip
 
 
-def with_blurs_drawn(
-    rng: np.random.Generator, walker: Walker, sensor: Sensor, blurs: list[tuple[Any, ...] | np.ndarray]
-) -> Walker:
-    """Return the Walker with each view's blur drawn from some, given the scene that it holds and the prior."""
-    if not any(map(len, blurs)):
+class Blurring(NamedTuple):
+    """One of the blurs that a view may have."""
+
+    settings: np.ndarray  # as an EngineState has them: they name the kernel for so many taps
+    taps: np.ndarray
+    log_prior: float
+
+
+def blurrings(views: Views, sensor: Sensor, blurs: Any) -> list[list[Blurring]]:
+    """Return for each view the Blurrings with those of its `blurs` (V, n)."""
+    found = []
+    for number, (view, some) in enumerate(zip(sensor.views, blurs, strict=True)):
+        engine = engine_of_view(views, number)
+        found.append([Blurring(*_blurred(engine, each), log_prior_of(view.prior, {"blur": float(each)}))
+                      for each in some])  # fmt: skip
+    return found
+
+
+def _blurred(engine: EngineState, blurred: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return settings and taps of an engine with another blur, which it shares with none."""
+    other = with_blur(engine._replace(settings=engine.settings.copy(), taps=engine.taps.copy()), blurred)
+    return other.settings, other.taps
+
+
+def with_blurs_drawn(rng: np.random.Generator, walker: Walker, ways: list[list[Blurring]]) -> Walker:
+    """Return the Walker with each view's blur drawn from its Blurrings, given the scene that it holds and the prior."""
+    if not any(ways):
         return walker
     states, likelihood = [], 0.0
-    for number, (view, some) in enumerate(zip(sensor.views, blurs, strict=True)):
-        engine, logs = engine_of_view(walker.engine, number), []
-        engine = engine._replace(settings=engine.settings.copy())  # they name the kernel for so many taps
-        for blurred in some:
-            engine = with_blur(engine, blurred)
-            logs.append(rescore_state(engine) + log_prior_of(view.prior, {"blur": float(blurred)}))
-        if logs:
-            engine = with_blur(engine, rng.choice(some, p=np.exp(logs - np.logaddexp.reduce(logs))))
+    for number, some in enumerate(ways):
+        engine = engine_of_view(walker.engine, number)
+        trials = [engine._replace(settings=each.settings.copy(), taps=each.taps) for each in some]
+        if some:
+            logs = [rescore_state(trial) + each.log_prior for trial, each in zip(trials, some, strict=True)]
+            engine = trials[rng.choice(len(some), p=np.exp(logs - np.logaddexp.reduce(logs)))]
         likelihood += rescore_state(engine)
         states.append(engine)
     return walker._replace(
@@ -412,7 +433,8 @@ def with_blurs_drawn(
 def under_blur(views: Views, blurred: float) -> Views:
     """Return the Views of one image with another blur, which share all else with it, at the scene that they hold."""
     engine = engine_of_view(views, 0)
-    engine = with_blur(engine._replace(settings=engine.settings.copy()), blurred)
+    settings, taps = _blurred(engine, blurred)
+    engine = engine._replace(settings=settings, taps=taps)
     rescore_state(engine)
     return make_views([engine], views.into)
 
