@@ -208,7 +208,6 @@ def propose_state(state, count, indices, poses, sizes):
         for k in range(kind.shape[1]):
             _copy_solid(images, kind, pose, size, prepared, rectangle, CURRENT, k)
         _copy_pixels(images, DEPTH + CURRENT, DEPTH + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
-        _copy_pixels(images, SCORE + CURRENT, SCORE + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
         if settings[LIKELIHOOD] == CORRELATED:
             last = len(images) - SHOWS
             _copy_pixels(images, last + CURRENT, last + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
@@ -248,7 +247,8 @@ def settle_state(state, source):
         right = (drawn[1] if drawn[1] < width else width + LANES) + PAD
         _copy_pixels(images, DEPTH + source, DEPTH + target, left, right, drawn[2], drawn[3])
         left, right, top, bottom = scored[0] + PAD, scored[1] + PAD, scored[2], scored[3]
-        _copy_pixels(images, SCORE + source, SCORE + target, left, right, top, bottom)
+        if source == CANDIDATE:  # the next proposal writes its own scores before it reads them
+            _copy_pixels(images, SCORE + CANDIDATE, SCORE + CURRENT, left, right, top, bottom)
         if settings[LIKELIHOOD] == CORRELATED:
             last = len(images) - SHOWS
             _copy_pixels(images, last + source, last + target, left, right, top, bottom)

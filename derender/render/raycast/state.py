@@ -44,10 +44,10 @@ class EngineState(NamedTuple):
     images : (5 + 2 M, H, P; under CORRELATED 8 + 2 M) float32; pixel i of a row is at column i + PAD. [OBSERVED_IMAGE]
         metres; NaN in the padding and for missing pixels (gaussian; under others they are 0, and below zero where they
         show what is no part of the scene, see `Robust`), [DEPTH + half] clean model depth, edges replicated, [SCORE +
-        half] each pixel's squared residual (gaussian) or log density (others), [MESHES + 2 slot + half] inverse depth
-        of each mesh, without padding, filled in its rectangle only, [-GOING_ON] the density of each pixel that goes on
-        as earlier ones do, see `Correlated`, [-SHOWS + half] the probability that each shows its surface, NO_RETURN
-        where nothing returned.
+        half] each pixel's squared residual (gaussian) or log density (others), of the candidate only while it is
+        proposed, [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only,
+        [-GOING_ON] the density of each pixel that goes on as earlier ones do, see `Correlated`, [-SHOWS + half] the
+        probability that each shows its surface, NO_RETURN where nothing returned.
     pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64.
     regions : (2, 2 N + 1, 4) int64: the proposal's regions, as drawn, and as scored (with the blur's margin).
     """
