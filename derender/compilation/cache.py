@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.compilation.entries import Version, entry_path, fingerprint, fingerprints, load, turn
+from derender.compilation.entries import GENERATOR, Version, entry_path, fingerprint, fingerprints, load, turn
 
 _lock = threading.RLock()  # one thread loads or compiles at a time
 
@@ -53,9 +53,12 @@ class Kernel:
         _name_apart(function)
 
     def __call__(self, *arguments):
-        try:
-            version = self._versions[tuple(map(fingerprint, arguments))]
-        except (KeyError, NotImplementedError):
+        try:  # `fingerprints`, most of which are made without a look at each argument
+            if isinstance(arguments[0], np.random.Generator):
+                version = self._versions[(GENERATOR, *map(fingerprint, arguments[1:]))]
+            else:
+                version = self._versions[tuple(map(fingerprint, arguments))]
+        except (IndexError, KeyError, NotImplementedError):
             version = self.version(arguments)
         return version.call(*arguments)
 

@@ -31,6 +31,7 @@ import numpy as np
 from derender.atomic import locked, write_bytes
 from derender.errors import DerenderError
 
+GENERATOR = "generator"  # in place of a fingerprint, which numba makes of no generator
 DIGEST, DIGEST_SIZE = hashlib.sha256, 32
 USERS = {"win32": "~/AppData/Local", "darwin": "~/Library/Caches"}  # folders of caches where no variable says it
 
@@ -164,7 +165,7 @@ class Code(NamedTuple):
 
 def fingerprints(arguments) -> tuple:
     """Return what tells the types of arguments apart, the same in all processes."""
-    return tuple(["generator" if isinstance(each, np.random.Generator) else fingerprint(each) for each in arguments])
+    return tuple([GENERATOR if isinstance(each, np.random.Generator) else fingerprint(each) for each in arguments])
 
 
 def load(path: Path | None) -> Version | None:
