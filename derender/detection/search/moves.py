@@ -58,8 +58,9 @@ def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Pla
 
 def as_cube(hypothesis: Hypothesis, origin: np.ndarray) -> Hypothesis:
     """Return a hypothesis that is nearly a cube as one: it keeps to its place where others show beside it."""
-    row, side = hypothesis.row, hypothesis.row[13:16].mean()
-    if int(row[0]) != BOX or np.abs(row[13:16] - side).max() > NEARLY * side:
+    row, sides = hypothesis.row, hypothesis.row[13:16].tolist()
+    side = sum(sides) / 3.0
+    if int(row[0]) != BOX or max(abs(each - side) for each in sides) > NEARLY * side:
         return hypothesis
     return hypothesis._replace(row=cube_of(row, side, origin, hypothesis.form), cube=True)
 
