@@ -25,7 +25,7 @@ FIRST_STEP, LAST_STEP = 0.3, 1e-6  # radians of the search: the sectors that STA
 POINT = 1e-9  # metres: a shorter axis has no direction
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, borrows=True)
 def reach(kind, pose, size, x, y, z):
     """Return how far a solid reaches from its centre along the unit vector (x, y, z): its support function."""
     if kind == SPHERE:
@@ -38,7 +38,7 @@ def reach(kind, pose, size, x, y, z):
     return 0.5 * (abs(a) * size[0] + abs(b) * size[1] + abs(c) * size[2])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, borrows=True)
 def gap_along(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z):
     """Return the gap between two shadows on the axis (x, y, z) of any length; -inf for an axis of none."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -49,7 +49,7 @@ def gap_along(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z):
     return abs(apart) - reach(kind_a, pose_a, size_a, x, y, z) - reach(kind_b, pose_b, size_b, x, y, z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def nearest_point(kind, pose, size, x, y, z):
     """Return the point of a solid (not a plane) nearest to the point (x, y, z): itself if it lies inside."""
     x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
@@ -74,7 +74,7 @@ def nearest_point(kind, pose, size, x, y, z):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def signed_distance(kind, pose, size, x, y, z):
     """Return the distance of a point from a solid's surface, negative inside; exact."""
     x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
@@ -93,7 +93,7 @@ def signed_distance(kind, pose, size, x, y, z):
     return inside + math.sqrt(a * a + b * b + c * c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def _distance(kind_a, pose_a, size_a, kind_b, pose_b, size_b, best):
     """Return the distance of two separated solids, at least `best`: alternating projection finds the nearest points.
 
@@ -110,7 +110,7 @@ def _distance(kind_a, pose_a, size_a, kind_b, pose_b, size_b, best):
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def _refined(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z, best):
     """Return the greatest gap near the direction (x, y, z): a pattern search whose step grows or is halved."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -139,7 +139,7 @@ def _refined(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z, best):
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def flat_axis(k, pose_a, pose_b):
     """Return the axis number k of FLAT_AXES that may part two boxes: normals of either's faces, products of edges."""
     if k < 3:
@@ -152,7 +152,7 @@ def flat_axis(k, pose_a, pose_b):
             pose_a[0, i] * pose_b[1, j] - pose_a[1, i] * pose_b[0, j])  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def round_axis(k, kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     """Return the direction number k of nine that may free a round side, of any length.
 
@@ -173,19 +173,21 @@ def round_axis(k, kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     return x, y, z
 
 
+@njit(cache=True, nogil=True, borrows=True)
+def _from_plane(plane, kind, pose, size):
+    """Return how far a solid is from a plane, given by its pose."""
+    x, y, z = plane[0, 2], plane[1, 2], plane[2, 2]
+    height = x * (pose[0, 3] - plane[0, 3]) + y * (pose[1, 3] - plane[1, 3]) + z * (pose[2, 3] - plane[2, 3])
+    return abs(height) - reach(kind, pose, size, x, y, z)
+
+
 @njit(cache=True, nogil=True)
 def separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     """Return the separation in metres of two solids: kinds, poses (4, 4), full extents (3,). Two planes: inf."""
     if kind_a == PLANE:
-        if kind_b == PLANE:
-            return math.inf
-        x, y, z = pose_a[0, 2], pose_a[1, 2], pose_a[2, 2]
-        height = (
-            x * (pose_b[0, 3] - pose_a[0, 3]) + y * (pose_b[1, 3] - pose_a[1, 3]) + z * (pose_b[2, 3] - pose_a[2, 3])
-        )
-        return abs(height) - reach(kind_b, pose_b, size_b, x, y, z)
+        return math.inf if kind_b == PLANE else _from_plane(pose_a, kind_b, pose_b, size_b)
     if kind_b == PLANE:
-        return separation_of(kind_b, pose_b, size_b, kind_a, pose_a, size_a)
+        return _from_plane(pose_b, kind_a, pose_a, size_a)
     if kind_a == SPHERE:
         away = signed_distance(kind_b, pose_b, size_b, pose_a[0, 3], pose_a[1, 3], pose_a[2, 3])
         return away - 0.5 * size_a[0]

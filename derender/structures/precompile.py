@@ -51,7 +51,7 @@ def draws_on_a_floor() -> None:
     from derender.scene.solids import BOX
     from derender.structures.draws import metropolis
     from derender.structures.draws.chart import make_chart
-    from derender.structures.draws.refined import only_draw, refined_at, structure_posterior
+    from derender.structures.draws.refined import near_evidence, only_draw, over_blur, refined_at, structure_posterior
     from derender.structures.draws.sensor import Sensor, model_depth
     from derender.structures.draws.steps import single_steps
 
@@ -67,6 +67,8 @@ def draws_on_a_floor() -> None:
     model_depth(chart, values, camera)
     refined = refined_at(state, chart, values, sensor, *draws.densities[0])
     structure_posterior(np.random.default_rng(0), refined, names_of(state), 1.0, [only_draw(refined)])
+    near_evidence(refined)
+    over_blur(np.random.default_rng(0), refined, (), values[None])
 
 
 def engine_of_a_scene() -> None:
