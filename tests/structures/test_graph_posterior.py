@@ -550,6 +550,22 @@ def test_chains_that_do_not_agree_go_on_while_it_is_worth_it_or_as_long_as_was_s
     assert len(told) == times
 
 
+def test_chains_that_do_not_agree_have_ended_when_the_budget_is_spent(monkeypatch):
+    """Each time takes as long as all before: begun shortly before the end, it would take twice the budget."""
+    sensor, chart, values = observe(np.random.default_rng(6), cube(), {"sigma": 0.003}, camera(40, 30))
+    genuine, clock = metropolis.final_draws, [0.0]
+
+    def drawn(rng, walkers, steps, count, thin, *rest):
+        clock[0] += thin
+        return genuine(rng, walkers, steps, count, thin, *rest)
+
+    monkeypatch.setattr(metropolis, "final_draws", drawn)
+    monkeypatch.setattr(metropolis, "agree", lambda draws: False)
+    monkeypatch.setattr(metropolis.time, "monotonic", lambda: clock[0])
+    metropolis.sample(np.random.default_rng(7), chart, sensor, values, 2, 4, 1, until=7.0)
+    assert clock[0] == 4.0  # 1 + 1 + 2, and 4 more would be too many
+
+
 def test_draws_are_of_what_tips_as_rarely_as_the_prior_says():
     """A walk that the image tells nothing, of a block on another: were all places where the two touch as likely, its
     middle would lie beyond that in three draws of four, and does in two of five where that is a quarter as probable."""

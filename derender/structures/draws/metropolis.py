@@ -323,7 +323,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
 
     only : coordinates that may move, None for all. open_blur : whether the draws are of the blur too, of which there is
         one for each view: some sides lie where they do only under one blur. Then a draw's density is under its own.
-    until : time.monotonic() to which chains that do not agree go on; None: while it is worth it. rounds : of the
+    until : time.monotonic() by which chains that do not agree have gone on; None: while it is worth it. rounds : of the
         warm-up, other than ROUNDS.
     """
     members = list(range(len(values)) if only is None else only)
@@ -345,6 +345,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
             met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
             spread, center[members] = spread_of(met, factor), met.mean(axis=0)
     former: list[Draws] = []
+    began = time.monotonic()
     for number in itertools.count():
         blocks = make_proposals(block_steps(chart, spread, only, center=center.copy()))
         steps = joined(singles, blocks)
@@ -358,7 +359,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
         if until is None:
             over = number == LONGER + (len(members) > MANY) or bool(former and far_apart(told))
         else:
-            over = time.monotonic() > until
+            over = 2.0 * time.monotonic() - began > until  # going on takes as long as all that was drawn
         if over or chains == 1 or agree(told):
             break
         met = np.concatenate([draws.values[:, members] for draws in drawn])
