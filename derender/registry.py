@@ -111,7 +111,7 @@ def only_its_keywords(function: Callable[P, T]) -> Callable[P, T]:
     argument of another type than it is annotated with.
     """
     signature = inspect.signature(function)
-    names = list(signature.parameters)
+    names = [name for name in signature.parameters if name not in ("self", "cls")]
 
     @functools.wraps(function)
     def checked(*arguments: P.args, **keywords: P.kwargs) -> T:

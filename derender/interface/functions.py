@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
-from derender.document import Document, read_document, read_prior_document
+from derender.document import Document, read_prior_document
 from derender.interface.posterior import MOST_DRAWS, Posterior
 from derender.interface.scene import HEIGHT, WIDTH, Scene
 from derender.physics.intervention import intervention
@@ -185,7 +185,7 @@ def as_scene(scene: Scene | SceneGraph | str | Path) -> Scene:
     """Return the Scene that a Scene, a scene graph or a scene file is."""
     if isinstance(scene, Scene):
         return scene
-    return Scene(scene) if isinstance(scene, SceneGraph) else _scene_of(read_document(scene))
+    return Scene(scene) if isinstance(scene, SceneGraph) else _scene_of(read_prior_document(scene))
 
 
 def _scene_of(document: Document) -> Scene:

@@ -11,6 +11,7 @@ import numpy as np
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, document_text, write_document
+from derender.registry import only_its_keywords
 from derender.results.table import extents_text
 from derender.scene.graph import SceneGraph
 
@@ -89,6 +90,7 @@ class Scene:
 
         export_scene(self.graph, path, self.camera)
 
+    @only_its_keywords
     def render(self, camera: Camera | str | Path | None = None, noise: bool = False, seed: int = 0) -> DepthImage:
         """Return its depth image; see `derender.render`."""
         from derender.interface.functions import render

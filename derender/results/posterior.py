@@ -254,7 +254,9 @@ def load(path: str | Path) -> Posterior:
     if path.is_dir():
         path = path / "posterior.npz"
     if not path.exists():
-        raise DerenderError("there is no posterior here", path, "derender infer IMAGE -o DIR writes one")
+        inside = min(path.parent.glob("*/posterior.npz"), default=None)
+        remedy = "derender infer IMAGE -o DIR writes one" if inside is None else f"name one, such as {inside.parent}"
+        raise DerenderError("there is no posterior here", path, remedy)
     check_files(path.parent, [path.name])
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -156,6 +156,21 @@ def test_a_scene_is_seen_by_a_camera_or_its_file(tmp_path):
         scene.render(60.0)
 
 
+def test_what_is_no_scene_is_told_by_what_would_be_right(tmp_path):
+    scene = derender.sample("stack", seed=0)
+    with pytest.raises(TypeError, match=r"render\(\) has no keyword 'nois'; did you mean 'noise'"):
+        scene.render(nois=True)
+    with pytest.raises(TypeError, match="has no keyword 'fov'; choose from degrees, height, width"):
+        derender.Camera.from_field_of_view(32, 24, fov=50.0)
+    for asked in (derender.simulate, derender.render):
+        with pytest.raises(DerenderError, match="this is a prior, not a scene; draw a scene"):
+            asked("tabletop")
+    (tmp_path / "frame_7").mkdir()
+    (tmp_path / "frame_7" / "posterior.npz").touch()
+    with pytest.raises(DerenderError, match="there is no posterior here; name one, such as .*frame_7$"):
+        derender.load(tmp_path)
+
+
 def test_options_are_checked():
     with pytest.raises(TypeError, match=r"infer\(\): draws is 'many'; give a whole number from 0 up or None"):
         derender.infer(np.ones((48, 64)), draws="many")
