@@ -4,6 +4,7 @@ Also the best structure's draws as NetCDF-4, with the groups in which ArviZ keep
 """
 
 import importlib.util
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.atomic import atomic_path
+from derender.atomic import write_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
@@ -138,7 +139,7 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
     `block`; `constant_data` says where the blocks lie), so that `arviz.loo` and `arviz.plot_ppc` have what they need.
 
     Written with h5py alone, as h5netcdf lays it out: ArviZ takes longer to import than most inferences, and h5netcdf
-    longer to write. `arviz.from_netcdf` reads it.
+    longer to write. `arviz.from_netcdf` reads it. In memory first: where a disk is full, HDF5 prints tracebacks.
     """
     if not can_be_read():
         return False
@@ -161,7 +162,8 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
             "log_likelihood": ({"chain": chain, "draw": blocks.scored} | number, {"depth": scored + apart}),
             "posterior_predictive": ({"chain": chain, "draw": blocks.drawn} | number, {"depth": blocks.predicted}),
         }
-    with atomic_path(path) as temporary, h5py.File(temporary, "w", track_order=True) as file:
+    whole = io.BytesIO()
+    with h5py.File(whole, "w", track_order=True) as file:
         file.attrs["_NCProperties"] = f"version=2,h5py={h5py.__version__}"
         file.attrs["creation_library"] = "derender"
         identity = count()  # of a dimension: its own in the whole file, or readers take another group's for it
@@ -171,6 +173,7 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
             for key in ("version", "command"):
                 group.attrs[key] = str(getattr(posterior, key))
             group.attrs["seed"] = int(posterior.seed or 0)
+    write_bytes(path, whole.getvalue())
     return True
 
 

@@ -1,6 +1,8 @@
 """posterior.npz: what is saved is what is loaded, to the bit; NetCDF is what ArviZ reads."""
 
 import math
+import signal
+import sys
 import warnings
 from dataclasses import replace
 
@@ -125,6 +127,23 @@ def test_a_root_that_is_no_pose_is_told(tmp_path):
     Posterior((replace(one, root_pose=np.zeros_like(one.root_pose)),)).save(tmp_path / "posterior.npz")
     with pytest.raises(DerenderError, match="its root's poses are not rigid"):
         load(tmp_path)
+
+
+def test_a_full_disk_is_one_line_of_fault_for_the_netcdf_too(tmp_path, monkeypatch):
+    """HDF5 tells Python of a file that it could not write once more when it closes it, when nothing can be raised."""
+    pytest.importorskip("h5netcdf")
+    resource = pytest.importorskip("resource")
+    told, most = [], resource.getrlimit(resource.RLIMIT_FSIZE)
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    former = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, most[1]))
+    try:
+        with pytest.raises(DerenderError, match="cannot be written: File too large"):
+            write_netcdf(tmp_path / "posterior.nc", Posterior((part()[1],), 3, "c"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
+        signal.signal(signal.SIGXFSZ, former)
+    assert not told and not list(tmp_path.iterdir())
 
 
 def test_arviz_opens_the_netcdf(tmp_path):
