@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.dynamics import inference
-from derender.dynamics.engine import FIRMER, SLIDING_RESTITUTION, Engine, Material, Scales
+from derender.dynamics.engine import ENGINE_FRICTION, FIRMER, SLIDING_RESTITUTION, Engine, Material, Scales
 from derender.dynamics.inference import ENOUGH, first_coordinates, identify, sample
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
@@ -138,15 +138,36 @@ def test_wrong_gravity_is_seen_as_wrong_friction():
     assert not interval[0, 0] < 0.3 < interval[0, 1]
 
 
+def exact_friction(film, metres=1e-3):
+    """Return mean and deviation of a slide's friction under its law of motion: on a grid of friction and first speed,
+    where it begins integrated out; friction has the default prior."""
+    friction, speed = np.exp(np.linspace(np.log(0.1), np.log(1.5), 300))[:, None, None], np.linspace(0.3, 1.6, 300)
+    slowed = friction * GRAVITY
+    time = np.minimum(film.times, speed[:, None] / slowed)
+    off = film.poses[:, 0, 0, 3] - (speed[:, None] * time - slowed * time**2 / 2)
+    off -= off.mean(axis=-1, keepdims=True)
+    density = -0.5 * np.sum(off**2, axis=-1) / metres**2
+    friction = friction[:, 0, 0]
+    prior = [read_dynamics_prior().friction.log_density(each) + np.log(each) for each in friction]
+    weights = np.exp(density - density.max()).sum(axis=1) * np.exp(prior)
+    weights /= weights.sum()
+    mean = weights @ friction
+    return mean, np.sqrt(weights @ (friction - mean) ** 2)
+
+
 @pytest.mark.slow
-def test_nine_of_ten_intervals_hold_the_friction():
-    held = 0
-    for seed in range(20):
-        rng = np.random.default_rng([seed, 3])
-        friction = rng.uniform(0.15, 0.6)
-        _, interval = told(identify(slide(friction, rng.uniform(0.6, 1.2), rng), rng), rng)
-        held += interval[0, 0] < friction < interval[0, 1]
-    assert 15 <= held  # of 20; 14 or fewer at .9 has probability .01
+@pytest.mark.parametrize("seed", [4, 5, 9, 12])
+def test_a_short_slides_posterior_is_that_of_its_law_of_motion(seed):
+    """Derivatives measured how corners rattle, and the film that happened to fit was believed: friction .45 was taken
+    for .48 to .53, where the law leaves .41 to .49. Of 20 such films the law's own 90 % intervals miss three."""
+    rng = np.random.default_rng([seed, 3])
+    film = slide(rng.uniform(0.15, 0.6), rng.uniform(0.6, 1.2), rng)
+    friction = Answer(identify(film, rng), rng).draws["friction"]
+    mean, deviation = exact_friction(film)
+    deviation = np.hypot(deviation, ENGINE_FRICTION * mean)
+    # 50 draws tell the mean to .14 deviations and the deviation to a tenth; of 20 films the furthest mean is .8 off
+    assert abs(friction.mean() - mean) < deviation
+    assert 0.7 < friction.std() / deviation < 1.4
 
 
 class Mode:
