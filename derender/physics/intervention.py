@@ -71,7 +71,7 @@ class Intervention(NamedTuple):
         axes : (3, 3), whose columns are the root's axes in the frame of the scene.
         """
         names = [body.name for body in matter.bodies]
-        for name in (*self.remove, *(push.body for push in self.pushes)):
+        for name in self.remove:
             if name not in names:
                 raise DerenderError(f"no object is called {name!r}", None, suggest(name, names))
         bodies = [body for body in matter.bodies if body.name not in self.remove]
@@ -84,6 +84,13 @@ class Intervention(NamedTuple):
                 raise DerenderError(f"no object is called {parent!r}", "--add", suggest(parent, names))
             bodies.append(_put_on(under, name, kind, size, place, axes))
             supports.append((name, parent))
+        moves = {body.name: body.moves for body in bodies}
+        for name in (push.body for push in self.pushes):
+            if name not in moves:
+                raise DerenderError(f"no object is called {name!r}", "--push", suggest(name, list(moves)))
+            if not moves[name]:
+                others = " ".join(other for other in moves if moves[other]) or "none"
+                raise DerenderError(f"{name!r} does not move", "--push", f"push one that does: {others}")
         if self.jitter is not None:
             spread = np.repeat(self.jitter, 3)
             bodies = [
@@ -183,6 +190,8 @@ def _direction(text: str, where: str) -> np.ndarray:
         way = np.zeros(3)
         way[AXES.index(text[-1])] = -1.0 if text[0] == "-" else 1.0
         return way
+    if not re.search("[0-9]", text) or "," in text:
+        raise DerenderError(f"{text!r} is no direction", where, "write +x, -y or an angle such as 30deg")
     angle = _quantity(text, "rad", where, signed=True)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 

@@ -14,6 +14,7 @@ from derender.physics.bodies import Matter
 from derender.physics.statics import find_contacts, widest_gap
 from derender.scene.graph import ROOT, Contact, Vertex, floating, nearest_contact
 from derender.scene.pose import inverse
+from derender.scene.shapes import shapes
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -233,7 +234,7 @@ def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -
     """Return the graph with the poses at the end of a trajectory, its contacts found anew, lower bodies first.
 
     A body keeps its parent where that still bears it, and otherwise hangs on the highest body that does, or on the
-    root at the pose it has. Bodies that were removed or added are not, and as in the scene, respectively.
+    root at the pose it has. Bodies that were removed are left out; those that were added are objects like others.
     """
     end = at_rest(trajectory, matter)
     poses = {**graph.poses(), **{body.name: body.pose for body in end.bodies}}
@@ -242,7 +243,9 @@ def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -
     there = {body.name for body in end.bodies}
     moving = {body.name for body in end.bodies if body.moves}
     still = [v for v in graph.vertices if v.name not in moving and (v.name in there or v.shape == "frame")]
-    waiting = [v for v in graph.vertices if v.name in moving]
+    known = {vertex.name for vertex in graph.vertices}
+    added = [_vertex_of(body.name, body.kind, body.size) for body in end.bodies if body.name not in known]
+    waiting = [v for v in (*graph.vertices, *added) if v.name in moving]
     waiting.sort(key=lambda vertex: float(poses[vertex.name][:3, 3] @ matter.up))
     placed = {vertex.name: vertex for vertex in still}
     for vertex in waiting:
@@ -257,6 +260,13 @@ def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -
                 break
         placed[vertex.name] = new
     return replace(graph, vertices=tuple(_at_rest(vertex) for vertex in placed.values()), constraints=())
+
+
+def _vertex_of(name: str, kind: str, size: np.ndarray) -> Vertex:
+    """Return an object of a shape and size."""
+    shape = shapes[kind]
+    numbers = map(float, shape.psi_from_size(size))
+    return Vertex(name, kind, dict(zip((p.name for p in shape.parameters), numbers, strict=True)))
 
 
 def _at_rest(vertex: Vertex) -> Vertex:

@@ -134,9 +134,26 @@ def test_interventions_are_read_and_faults_are_one_line(graph):
     assert intervention(remove="red", push="red:+x:1N@1s").remove == ("red",)  # one alone is no list of letters
     with pytest.raises(TypeError, match="tlt"):
         intervention(tlt="10deg")
-    for texts in ({"remove": ["blue"]}, {"push": ["blue:+x:1N@1s"]}, {"add": ["red:cube:5cm@floor"]}):
+    for texts in ({"remove": ["blue"]}, {"push": ["blue:+x:1N@1s"]}, {"add": ["red:cube:5cm@floor"]},
+                  {"remove": ["red"], "push": ["red:+x:1N@1s"]}):  # fmt: skip
         with pytest.raises(DerenderError, match="called"):
             simulate_scene(graph, **texts)
+    with pytest.raises(DerenderError, match="'floor' does not move.*red green"):  # nothing happened, without a word
+        simulate_scene(graph, push=["floor:+x:9N@1s"])
+    for way in ("+q", "0,0,0"):
+        with pytest.raises(DerenderError, match="is no direction"):
+            read_push(f"red:{way}:1N@1s")
+
+
+def test_what_is_added_can_be_pushed_and_is_part_of_the_settled_scene(graph):
+    for kind, size in (("box", "10x5x5cm"), ("sphere", "8cm"), ("cylinder", "6x12cm")):
+        outcome = simulate_scene(graph, early=False, add=[f"new:{kind}:{size}@floor:30cm,0"], push=["new:+x:2N@0.1s"])
+        assert outcome.displacement["new"] > 1e-3
+        settled = settled_graph(graph, outcome.trajectory, outcome.matter)
+        where = outcome.trajectory.poses[-1, outcome.trajectory.names.index("new")]
+        np.testing.assert_allclose(settled.poses()["new"][:3, 3], where[:3, 3], atol=2e-4)
+        assert settled.vertex("new").shape == kind and settled.vertex("new").parent == "floor"
+        np.testing.assert_allclose(settled.body("new").size(), outcome.trajectory.sizes[-1])
 
 
 def test_interventions_do_what_they_say(graph):
