@@ -188,7 +188,7 @@ def _one(source: "Found", what, ask, margin: bool, forces: bool, talk: Talk):
 
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
     best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
-    assumed = assumptions(best.matter)
+    assumed = assumptions(best.matter, best.trajectory)
     for sentence in assumed:
         talk.warn(sentence)
     runs = [best]

@@ -224,8 +224,8 @@ def _of_graph(graph: "SceneGraph", rng: np.random.Generator | None) -> tuple[Mat
 NEEDLE = 200.0
 
 
-def assumptions(matter: Matter) -> list[str]:
-    """Return what is assumed of a scene beyond what it says; [] where nothing is.
+def assumptions(matter: Matter, trajectory: Trajectory | None = None) -> list[str]:
+    """Return what is assumed of a scene beyond what it says, and of its trajectory after it ends; [] where nothing is.
 
     Raises
     ------
@@ -259,6 +259,8 @@ def assumptions(matter: Matter) -> list[str]:
         said.append("there is no floor and nothing is fixed: everything falls")
     if not np.any(matter.gravity):
         said.append("there is no gravity")
+    if trajectory is not None and not trajectory.resting and not trajectory.first_moved():
+        said.append(f"after {trajectory.times[-1]:.2g} s not all is known to rest: it is taken to stay; run it longer")
     return said
 
 

@@ -156,6 +156,15 @@ def test_what_is_added_can_be_pushed_and_is_part_of_the_settled_scene(graph):
         np.testing.assert_allclose(settled.body("new").size(), outcome.trajectory.sizes[-1])
 
 
+def test_a_run_too_short_to_tell_says_so():
+    """A block in the air stands for a hundredth of a second."""
+    hangs = matter(FLOOR, cube("a", 0, 0.3))
+    short = simulate_scene(hangs, duration=0.01, early=False)
+    assert short.stable and any("not all is known to rest" in said for said in assumptions(hangs, short.trajectory))
+    stands = matter(FLOOR, cube("a", 0, 0.05))
+    assert assumptions(stands, simulate_scene(stands, early=False).trajectory) == []
+
+
 def test_interventions_do_what_they_say(graph):
     assert simulate_scene(graph).stable
     assert simulate_scene(graph, remove=["red"]).fallen == ("green",)
