@@ -6,6 +6,7 @@ from click.testing import CliRunner
 from numpy.polynomial.legendre import leggauss
 from scipy import stats
 from scipy.ndimage import gaussian_filter
+from scipy.signal import lfilter
 
 from derender import data_path
 from derender.camera.intrinsics import Camera
@@ -13,7 +14,7 @@ from derender.cli import group
 from derender.detection.calibration import Fit, correlation, fit_sensor, residuals, sensor_text
 from derender.document import document_from, read_document
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import NEIGHBOURS, independent_share, prediction, shown_share
+from derender.render.likelihoods.correlated import NEIGHBOURS, independent_share, innovations, prediction, shown_share
 from derender.scene.codec.yaml_tree import parse_yaml
 
 NOISE = likelihoods["correlated"]
@@ -39,7 +40,16 @@ def written_down(observed, depth, values):
         surface = (1.0 - values["outlier"]) * stats.norm.pdf(observed[at], depth[at], noise(depth[at]))
         return surface, surface + values["outlier"] / (values["far"] - values["near"])
 
+    left, told, tells = {}, 100.0 * np.eye(6), np.zeros(6)
+    shares = np.zeros(6)
     for r, c in np.ndindex(observed.shape):
+        if c == 0:  # what the rows above told of the weights fades, and they are found by three sweeps
+            told, tells = (
+                (1 - values["fading"]) * told + 100.0 * values["fading"] * np.eye(6),
+                (1 - values["fading"]) * tells,
+            )
+            for k in 3 * list(range(6)):
+                shares[k] += (tells[k] - told[k] @ shares) / told[k, k]
         if np.isnan(observed[r, c]):
             continue
         places = [(r - up, c - left) for up, left in NEIGHBOURS]
@@ -54,6 +64,10 @@ def written_down(observed, depth, values):
             )
             mean = sum(weights[k, some] * observed[at] for k, at in enumerate(places) if weights[k, some])
             off = deviations[some] * step(mean)
+            over, z = np.array([left.get(at, 0.0) for at in places]), (observed[r, c] - mean) / off
+            left[r, c] = np.clip(z, -6.0, 6.0)
+            trust, mean = 5.0 / (4.0 + (z - shares @ over) ** 2), mean + off * (shares @ over)
+            told, tells = told + trust * np.outer(over, over), tells + trust * left[r, c] * over
             density = 0.9 * ((1.0 - values["tail"]) * stats.norm.pdf(observed[r, c], mean, off)
                              + values["tail"] * stats.norm.pdf(observed[r, c], mean, 4.0 * off))  # fmt: skip
             density += 0.1 * np.mean([stats.t.pdf(observed[r, c], 3, observed[at], 4.0 * step(observed[at]))
@@ -126,6 +140,25 @@ def test_draws_are_of_the_density():
                   {"shared": 0.6}, {"clump": 0.2}):  # fmt: skip
         fits, shared = failures({**VALUES, **wrong})
         assert fits < 1e-3 or shared > 4.0 / np.sqrt(depth.size), wrong  # the broken twins
+    others = [{**VALUES, "fading": fading} for fading in (0.02, 0.5, 1.0)]
+    assert min(NOISE.log_density(observed, depth, VALUES) - NOISE.log_density(observed, depth, other)
+               for other in others) > 5.0  # fmt: skip
+
+
+def test_what_no_such_covariance_tells_is_learnt_from_the_rows_above():
+    """Of noise that goes on from its neighbours alone: it is not white where nothing is learnt, nor as likely."""
+    depth = np.full((120, 160), 0.8)
+    field = np.random.default_rng(4).standard_normal(depth.shape)
+    for axis, share in enumerate((0.5, 0.9)):
+        field = lfilter([1.0], [1.0, -share], field, axis)
+    observed = depth + 0.01 * field / field.std()
+    values = NOISE.complete({"sigma": 0.01, "white": 0.02, "tail": 0.01, "shared": 0.99, "clump": 0.9})
+    values["step"] = np.nanstd(innovations(observed, values))
+    white = {fading: NOISE.whitened(observed, depth, {**values, "fading": fading}) for fading in (0.1, 1.0)}
+    most = {fading: max(abs(correlation([image], *neighbour)) for neighbour in NEIGHBOURS)
+            for fading, image in white.items()}  # fmt: skip
+    assert most[0.1] < 0.1 and most[1.0] > 0.3
+    assert NOISE.log_density(observed, depth, values) > NOISE.log_density(observed, depth, {**values, "fading": 1.0})
 
 
 def test_many_pixels_tell_their_surface_as_well_as_so_many_independent_ones():

@@ -2,7 +2,8 @@
 
 A mixture transition distribution: Raftery, Journal of the Royal Statistical Society B, 1985; of flat stretches, bursts
 and outliers: Le, Martin and Raftery, Journal of the American Statistical Association, 1996. How a surface goes on is
-kriging with an unknown plane (Matheron, 1969), of which the scene knows nothing.
+kriging with an unknown plane (Matheron, 1969), of which the scene knows nothing; what that leaves to be told is learnt
+from the rows above, which are forgotten by and by (West and Harrison, Bayesian Forecasting and Dynamic Models, 1997).
 """
 
 import math
@@ -36,6 +37,9 @@ REACH = (1e-9, 1e9)  # pixels: a chain may go wherever a distribution over it le
 NOTHING_SHARED = 700.0  # reaches apart, at which exp(-h) is still above 0
 RATE = (1e-30, 0.5)  # of outliers
 WIDER = 4  # times as wide as the others are the heavy tails' innovations, about those of rounded disparities
+FIRM = 100.0  # pixels that have to tell of an innovation's weight as much as is believed before: that it is none
+SWEEPS = 3  # of Gauss and Seidel, in each row: the weights change little from one to the next
+SPIKE, FREEDOM = 6.0, 4.0  # standard deviations at which an innovation tells no more; by Student's t less before
 ALONE = 0.1  # share of the pixels that go on which go on from one neighbour alone, over a step that was observed
 STUDENT = 2.0 / (math.pi * math.sqrt(3.0))  # height of Student's t of 3 degrees of freedom
 
@@ -59,8 +63,11 @@ class Correlated(Likelihood):
         h^2 = (columns apart / reach)^2 + (rows apart / reach_down)^2
 
     (a Matern field of smoothness 3/2), about a plane of which nothing is known; where some have no return about a
-    constant, and off by more. A share `tail` of these innovations is four times as wide. A tenth go on from one of the
-    nearest four alone, as along an edge, with Student's t of 3 degrees of freedom, four times as wide too.
+    constant, and off by more. What that leaves, in units of the step, is regressed on what it left at the same six:
+    their weights are 0 beforehand, as firmly as 100 pixels would tell it, and each row forgets the share `fading` of
+    what the rows above told of them. With 1 nothing is learnt. A share `tail` of these innovations is four times as
+    wide. A tenth go on from one of the nearest four alone, as along an edge, with Student's t of 3 degrees of freedom,
+    four times as wide too.
 
     The product of all pixels' densities given earlier ones integrates to one for each set of pixels that return. One
     without a return is evidence of nothing. One that holds minus a depth shows what is no part of the scene: see
@@ -79,6 +86,7 @@ class Correlated(Likelihood):
         Parameter("white", "", *SHARE, 0.05),
         Parameter("reach", "", *REACH, 4.0),
         Parameter("reach_down", "", *REACH, 2.0),
+        Parameter("fading", "", 0.0, 1.0, 0.1),
         Parameter("tail", "", 0.0, SHARE[1], 0.1),
         Parameter("outlier", "", *RATE, 0.02),
         Parameter("near", "m", 0.0, 1000.0, 0.1),
@@ -86,7 +94,7 @@ class Correlated(Likelihood):
     )
     code = 2
     scored = ("sigma_growth", "outlier", "near", "far", "shared", "clump")
-    of_image = ("step", "step_growth", "white", "reach", "reach_down", "tail")
+    of_image = ("step", "step_growth", "white", "reach", "reach_down", "fading", "tail")
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""
@@ -100,7 +108,7 @@ class Correlated(Likelihood):
         shape : of the second, (H, W), or (0, 0) where it is not asked for.
         """
         depths = np.pad(np.abs(np.where(np.isfinite(observed), observed, 0.0)), 2)
-        numbers = np.array([values[name] for name in ("step", "step_growth", "tail")])
+        numbers = np.array([values[name] for name in ("step", "step_growth", "tail", "fading")])
         density, below = np.zeros(observed.shape), np.zeros(shape)
         go_on(depths, numbers, *prediction(values), density, below)
         return density, below
@@ -140,7 +148,8 @@ class Correlated(Likelihood):
 
     def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
-        names = ("sigma", "sigma_growth", "step", "step_growth", "shared", "clump", "outlier", "near", "far", "tail")
+        names = ("sigma", "sigma_growth", "step", "step_growth", "shared", "clump", "outlier", "near", "far", "tail",
+                 "fading")  # fmt: skip
         result, numbers = np.zeros([side + 4 for side in depth.shape]), np.array([values[name] for name in names])
         draw(rng, result, blurred_depth(depth, values), numbers, *prediction(values))
         result = result[2:-2, 2:-2]
@@ -168,14 +177,54 @@ def predicted(depths, row, column, weights, deviations, step, growth):
     return mean, deviations[some] * (step + growth * mean * mean)
 
 
+@njit(cache=True, nogil=True)
+def forget(told, weights, fading):
+    """Forget a share of what rows above told of the weights (6,) of innovations, and find those that the rest tells.
+
+    told : (6, 7) their precision and, last, its product with them.
+    """
+    every = len(weights)
+    for k in range(every):
+        for j in range(every + 1):
+            told[k, j] *= 1.0 - fading
+        told[k, k] += fading * FIRM
+    for _ in range(SWEEPS):
+        for k in range(every):
+            weights[k] += (told[k, every] - np.dot(told[k, :every], weights)) / told[k, k]
+
+
+@njit(cache=True, nogil=True)
+def carried(left, row, column, weights):
+    """Return what innovations `left` (H + 4, W + 4) over at earlier pixels tell of that of a pixel."""
+    total = 0.0
+    for k in range(len(NEIGHBOURS)):
+        total += weights[k] * left[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def learn(told, left, row, column, z, carry):
+    """Write down the innovation z of a pixel, of which `carry` was told, and what it tells of the weights."""
+    kept, every = min(max(z, -SPIKE), SPIKE), len(NEIGHBOURS)
+    left[row, column] = kept
+    trust = (FREEDOM + 1.0) / (FREEDOM + (z - carry) ** 2)
+    for k in range(every):
+        by = trust * left[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
+        if by != 0.0:
+            for j in range(every):
+                told[k, j] += by * left[row - NEIGHBOURS[j][0], column - NEIGHBOURS[j][1]]
+            told[k, every] += by * kept
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def go_on(depths, numbers, weights, deviations, density, below):
     """Write the density of pixels (H, W) that go on, and the probability that they are nearer, if that has a shape.
 
     depths : (H + 4, W + 4), two pixels wider than the image all round, 0 where none returned. numbers : step,
-    step_growth, tail.
+    step_growth, tail, fading.
     """
-    step, growth, tail = numbers
+    step, growth, tail, fading = numbers
+    left, told, shares = np.zeros(depths.shape), FIRM * np.eye(6, 7), np.zeros(6)
     sharp = np.zeros(depths.shape)  # of each pixel, 1 / metres: how closely one that goes on from it alone does so
     for row in range(depths.shape[0]):
         for column in range(depths.shape[1]):
@@ -183,13 +232,17 @@ def go_on(depths, numbers, weights, deviations, density, below):
             if there > 0.0:
                 sharp[row, column] = 1.0 / (WIDER * math.sqrt(3.0) * (step + growth * there * there))
     for row in range(density.shape[0]):
+        forget(told, shares, fading)
         for column in range(density.shape[1]):
             here, west, north = depths[row + 2, column + 2], depths[row + 2, column + 1], depths[row + 1, column + 2]
             if not (here > 0.0 and (west > 0.0 or north > 0.0)):
                 continue
             mean, off = predicted(depths, row + 2, column + 2, weights, deviations, step, growth)
             inverse = 1.0 / off
-            z = (here - mean) * inverse
+            z, carry = (here - mean) * inverse, carried(left, row + 2, column + 2, shares)
+            if fading < 1.0:
+                learn(told, left, row + 2, column + 2, z, carry)
+            z -= carry
             wide = math.exp(-0.5 * (z / WIDER) ** 2)
             narrow = wide ** (WIDER * WIDER)
             total = (1.0 - ALONE) / math.sqrt(2.0 * math.pi) * ((1.0 - tail) * narrow + tail * wide / WIDER) * inverse
@@ -217,32 +270,38 @@ def go_on(depths, numbers, weights, deviations, density, below):
 def draw(rng, result, model, numbers, weights, deviations):
     """Write depths into `result` (H + 4, W + 4), two pixels wider than the image all round, in order of reading.
 
-    model : (H, W) metres. numbers : sigma, sigma_growth, step, step_growth, shared, clump, outlier, near, far, tail.
+    model : (H, W) metres. numbers : sigma, sigma_growth, step, step_growth, shared, clump, outlier, near, far, tail,
+    fading.
     """
-    sigma, growth, step, step_growth, shared, clump, outlier, near, far, tail = numbers
+    sigma, growth, step, step_growth, shared, clump, outlier, near, far, tail, fading = numbers
+    left, told, shares = np.zeros(result.shape), FIRM * np.eye(6, 7), np.zeros(6)
     shows = np.zeros(result.shape)  # how probably a pixel that returned shows its surface
     for row in range(2, result.shape[0] - 2):
+        forget(told, shares, fading)
         for column in range(2, result.shape[1] - 2):
             m = model[row - 2, column - 2]
             spread, count, before = sigma + growth * m * m, 0, 0.0
-            for up, left in NEIGHBOURS[:2]:
-                if result[row - up, column - left] > 0.0:
-                    count, before = count + 1, before + shows[row - up, column - left]
+            for up, back in NEIGHBOURS[:2]:
+                if result[row - up, column - back] > 0.0:
+                    count, before = count + 1, before + shows[row - up, column - back]
+            mean, off = predicted(result, row, column, weights, deviations, step, step_growth)
+            carry = carried(left, row, column, shares)
             if not count or rng.random() >= clump + (shared - clump) * before / count:
                 drawn = rng.uniform(near, far) if rng.random() < outlier else m + spread * rng.standard_normal()
             elif rng.random() >= ALONE:
-                mean, off = predicted(result, row, column, weights, deviations, step, step_growth)
-                drawn = mean + off * rng.standard_normal() * (WIDER if rng.random() < tail else 1.0)
+                drawn = mean + off * (carry + rng.standard_normal() * (WIDER if rng.random() < tail else 1.0))
             else:
-                count = 0
-                for up, left in NEIGHBOURS[:4]:  # any of those that returned, as probably as another
-                    if result[row - up, column - left] > 0.0:
-                        count += 1
-                        if rng.random() * count < 1.0:
-                            there = result[row - up, column - left]
+                some = 0
+                for up, back in NEIGHBOURS[:4]:  # any of those that returned, as probably as another
+                    if result[row - up, column - back] > 0.0:
+                        some += 1
+                        if rng.random() * some < 1.0:
+                            there = result[row - up, column - back]
                 drawn = there + rng.standard_t(3.0) * WIDER * (step + step_growth * there * there)
             if drawn > 0.0:
                 result[row, column] = drawn
+                if count:
+                    learn(told, left, row, column, (drawn - mean) / off, carry)
                 surface = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi))
                 surface *= math.exp(-0.5 * ((drawn - m) / spread) ** 2)
                 shows[row, column] = surface / (surface + (outlier / (far - near) if near <= drawn <= far else NOWHERE))
