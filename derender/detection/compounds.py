@@ -50,14 +50,14 @@ JOINT = 0.04  # share of a thing's outline along which a solid goes on that it i
 LITTLE, ALONG = 0.1, 1.0 / 3.0
 
 
-def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, float]]) -> tuple[State, list[Any]]:
-    """Return (State, [(mask, gain)]) in which solids that are parts of one, or of no such shape, are things.
+def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[State, list[Any]]:
+    """Return (State, [mask]) in which solids that are parts of one, or of no such shape, are things.
 
     A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
     a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge. What hangs
     in the air is a handle of what it goes on from, and what is over it beyond a convex edge, as a gable is.
 
-    masks : [(mask, gain)] of free-form things.
+    masks : [(H, W) bool] of free-form things.
     """
     masks, surface = list(masks), seen.surface
     while parts := held_by_another(state) or falling(state) or neck(state, seen.image) or gable(seen, state):
@@ -68,24 +68,23 @@ def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, flo
     normal = surface.normals(surface.good)
     for k in range(len(masks)):
         if (
-            (part := hangs_on(seen, state, masks[k][0])) is not None
-            or (part := below_cap(seen, state, masks[k][0])) is not None
-            or (part := slope_of(seen, state, masks[k][0], normal)) is not None
+            (part := hangs_on(seen, state, masks[k])) is not None
+            or (part := below_cap(seen, state, masks[k])) is not None
+            or (part := slope_of(seen, state, masks[k], normal)) is not None
         ):
-            state, found = joined(seen, state, (part,), *masks[k])
+            state, found = joined(seen, state, (part,), masks[k])
             masks[k] = found[0]
     while (pair := part_of_another(seen, state, masks, normal)) is not None:
         parts = tuple(k for k in pair if k < len(state))
         pieces = [masks[k - len(state)] for k in pair if k >= len(state)]
         masks = [each for k, each in enumerate(masks, start=len(state)) if k not in pair]
-        whole = np.any([mask for mask, _ in pieces], axis=0) if pieces else None
-        state, found = joined(seen, state, parts, whole, sum(gain for _, gain in pieces))
+        state, found = joined(seen, state, parts, np.any(pieces, axis=0) if pieces else None)
         masks += found
     return state, masks
 
 
 def part_of_another(
-    seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], normal: np.ndarray
+    seen: Observation, state: State, masks: list[np.ndarray], normal: np.ndarray
 ) -> tuple[int, int] | None:
     """Return what is a part of something else, and of what; None where nothing is.
 
@@ -95,7 +94,7 @@ def part_of_another(
     """
     _, label, misfit, _ = held_out(seen.image, state, -1)
     piece = np.where((seen.image.weight > 0) & (misfit < LIMIT), label, -1)
-    for k, (mask, _) in enumerate(masks, start=len(state)):
+    for k, mask in enumerate(masks, start=len(state)):
         piece[mask] = k
     count = len(state) + len(masks)
     for k in range(count):
@@ -141,23 +140,21 @@ def meets(
     return touched, turned
 
 
-def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None = None, gain: float = 0.0) -> Any:
-    """Return (State without some solids, [(mask, gain)]) with what they show as one free-form thing, if it is seen.
+def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None = None) -> Any:
+    """Return (State without some solids, [mask]) with what they show as one free-form thing, if it is seen.
 
-    parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already, and its gain.
+    parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already.
     """
     image = seen.image
     _, label, misfit, _ = held_out(image, state, -1)
-    mask = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
+    whole = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
     if piece is not None:
-        mask = mask & ~piece
+        whole |= piece
     state = state.without(*parts)
-    gain += float((held_out(image, state, -1)[2] - misfit)[mask].sum())
-    whole = mask if piece is None else mask | piece
     if whole.sum() < FEWEST:
         return state, []
     image.floor[whole] = image.depth[whole] + 0.5 * AS_SEEN
-    return state, [(whole, gain)]
+    return state, [whole]
 
 
 def alone_on(state: State, i: int) -> tuple[int, ...]:

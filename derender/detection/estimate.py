@@ -155,18 +155,14 @@ def on_one_floor(
 
 
 def with_freestanding(seen: Observation, settings: Settings) -> Observation:
-    """Return the Observation of an image without a floor with what stands free of its surroundings as its things.
-
-    What such a piece explains cannot be told without what else might be there: it counts as much as leaves it open.
-    """
+    """Return the Observation of an image without a floor with what stands free of its surroundings as its things."""
     good = seen.image.weight > 0
     deviation = sensor_deviation(seen.image.depth)
     surface = SeenSurface.of(seen.points, good, seen.footprint, deviation, seen.image.origin)  # type: ignore[arg-type]
     masks = freestanding(surface, settings.believed.loose.things)
     if masks:
         seen = seen._replace(behind=good & ~np.any(masks, axis=0))
-    even = settings.believed.loose.existence.even * settings.temper
-    seen, things = likely_things(seen, State(), [(mask, even) for mask in masks], settings)
+    seen, things = likely_things(seen, State(), masks, settings)
     return seen._replace(things=tuple(things))
 
 

@@ -16,6 +16,8 @@ from derender.detection.outline import ends_of
 from derender.detection.patches import SeenSurface
 from derender.detection.search.bodies import SLANTED, TIGHT
 from derender.detection.segments import joined, outline_area, segments
+from derender.detection.solids.image import FAR, Image
+from derender.detection.solids.state import State, held_out
 from derender.scene.priors.bare_image import Things
 
 if TYPE_CHECKING:
@@ -122,13 +124,27 @@ LEAST_EXISTENCE = 0.5  # probability that a thing of the best scene is an object
 
 
 def existence_of(
-    seen: "Observation", mask: np.ndarray, gain: float, settings: "Settings", below: np.ndarray
+    seen: "Observation", state: State, mask: np.ndarray, settings: "Settings", below: np.ndarray
 ) -> tuple[float, float]:
-    """Return (probability, standard error) that what a mask (H, W) shows is an object; gain : in tempered nats.
+    """Return (probability, standard error) that what a mask (H, W) shows is an object beside the solids of a state.
+
+    It counts by what they and the floor leave unexplained of its pixels. What its own surface costs says nothing here:
+    clutter of that form costs as much. Without a floor, what else may be there is not known: all is left open.
 
     below : (H, W) bool, pixels of the solid that it stands on.
     """
-    return settings.believed.loose.existence.of(gain / settings.temper, outstanding(seen, mask, below))
+    existence = settings.believed.loose.existence
+    left = held_out(without_thing(seen.image, mask), state, -1)[2]
+    gain = existence.even if seen.no_floor else float(left[mask].sum()) / settings.temper
+    return existence.of(gain, outstanding(seen, mask, below))
+
+
+def without_thing(image: Image, mask: np.ndarray) -> Image:
+    """Return an Image with the floor where a thing, which a mask (H, W) shows, was taken as it is seen."""
+    with np.errstate(divide="ignore"):
+        floor = -image.origin[2] / image.direction[..., 2]
+    floor = np.where((floor > 0.0) & (floor < FAR), floor, FAR)
+    return image._replace(floor=np.where(mask, floor, image.floor))
 
 
 def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> float:

@@ -15,13 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.detection.compounds import goes_on, goes_on_from, joined
-from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
+from derender.detection.freestanding import LEAST_EXISTENCE, existence_of, without_thing
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import body_hypotheses, box_about, bridged, label_bodies
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import Hypothesis
-from derender.detection.solids.image import FAR, Image
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import State, held_out, run_polish
@@ -54,8 +53,8 @@ ROUNDS, YAWS, FINISHED = 200, 6, 3
 def leftovers(
     rng: np.random.Generator, seen: Observation, state: State, settings: Settings
 ) -> tuple[State, list[Any], list[Any]]:
-    """Return (State, [(mask, gain)], [(mask, gain)]) with what is clearly over the support and not explained yet: first
-    objects, then what seems to be clutter.
+    """Return (State, [mask], [mask]) with what is clearly over the support and not explained yet: first objects,
+    then what seems to be clutter.
 
     The image is changed as by `take_things`.
     """
@@ -81,14 +80,14 @@ def leftovers(
             or max(high[:2] - low[:2]) >= LARGEST
         ):
             continue
-        exists = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
+        exists = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
         part = None if exists else goes_on_from(seen, state, mask)
         if exists and goes_on(seen.surface, mask, shows, cost.normal):
             part = goes_on_from(seen, state, mask)
             if part is None or share_over(seen.points[mask], state.rows[part]) <= BENEATH:
                 continue
         if part is not None:
-            state, more = joined(seen, state, (part,), mask, gain)
+            state, more = joined(seen, state, (part,), mask)
             found += more
             continue
         if exists:
@@ -99,7 +98,7 @@ def leftovers(
             if cheaper > 0.0 and (alike or gained > settings.temper * LEFT_LEAST):
                 state = with_it
                 continue
-        (found if exists else clutter).append((mask, gain))
+        (found if exists else clutter).append(mask)
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return state, found, clutter
 
@@ -157,7 +156,7 @@ def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: S
     cost = cost_of(seen, settings.believed.loose.things)
     found = []
     for place, thing in enumerate(seen.things):
-        there = seen._replace(image=without_thing(seen.image, thing))
+        there = seen._replace(image=without_thing(seen.image, thing.mask))
         new, gain = with_solid(rng, there, state, thing.mask, settings)
         if len(new) > len(state):
             gain += settings.temper * LEFT_PRICE - settings.price
@@ -174,14 +173,6 @@ def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: S
         odds = (gain + whole - total_energy(seen.image, left, settings)) / settings.temper
         found.append(Swap(place, min(odds, 0.0), made_thing(seen, left, mask, SURE)))
     return found
-
-
-def without_thing(image: Image, thing: Thing) -> Image:
-    """Return an Image with the floor where a thing was taken as it is seen."""
-    with np.errstate(divide="ignore"):
-        floor = -image.origin[2] / image.direction[..., 2]
-    floor = np.where((floor > 0.0) & (floor < FAR), floor, FAR)
-    return image._replace(floor=np.where(thing.mask, floor, image.floor))
 
 
 def gain_of_thing(seen: Observation, state: State, mask: np.ndarray, cost: Cost, settings: Settings) -> float:

@@ -93,12 +93,11 @@ class Cost(NamedTuple):
 
 def take_things(
     seen: Observation, state: State, settings: Settings, reluctance: float = 0.0
-) -> tuple[State, list[tuple[np.ndarray, float]]]:
-    """Return (State of the solids that stay, [(mask, gain)] of what is free-form) that explain the image best.
+) -> tuple[State, list[np.ndarray]]:
+    """Return (State of the solids that stay, [mask] of what is free-form) that explain the image best.
 
-    A mask is (H, W) bool, a gain the nats, tempered as the image is, by which the thing explains its pixels better than
-    what the search had for them. What is free-form explains its pixels from then on: the image has them as they are
-    seen, so that solids leave them alone.
+    A mask is (H, W) bool. What is free-form explains its pixels from then on: the image has them as they are seen, so
+    that solids leave them alone.
 
     seen : Observation; its image is changed. state : State of the solids that the search found.
     reluctance : nats by which a free-form thing must be better than the solids that it takes the place of.
@@ -115,27 +114,23 @@ def take_things(
         keep = best_subset(seen, state, keep, members, cost, settings, reluctance)
     kept = subset(state, keep)
     things, _ = pieces_of(seen, kept, cost, settings)
-    for mask, _ in things:
+    for mask in things:
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return kept, things
 
 
 def likely_things(
-    seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], settings: Settings
+    seen: Observation, state: State, masks: list[np.ndarray], settings: Settings
 ) -> tuple[Observation, list[Thing]]:
-    """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen.
-
-    masks : [(mask, gain in tempered nats)].
-    """
+    """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen."""
     behind, found = seen.behind.copy(), []
-    label, misfit = held_out(seen.image, state, -1)[1:3]
-    taken = np.any([label >= 0, *(mask for mask, _ in masks)], axis=0)
-    for mask, gain in masks:
+    taken = np.any([held_out(seen.image, state, -1)[1] >= 0, *masks], axis=0)
+    for mask in masks:
         if seen.correlation > CORRELATED:
             low = low_parts(seen, mask, seen.behind | taken)
-            mask, gain, taken = mask | low, gain + float(misfit[low].sum()), taken | low
+            mask, taken = mask | low, taken | low
             seen.image.floor[low] = seen.image.depth[low] + 0.5 * AS_SEEN
-        existence = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))
+        existence = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
         if existence[0] < LEAST_EXISTENCE:
             behind |= mask
         else:
@@ -238,10 +233,8 @@ def best_subset(seen: Observation, state: State, keep: set[int], members: list[i
     return best
 
 
-def pieces_of(
-    seen: Observation, state: State, cost: Cost, settings: Settings
-) -> tuple[list[tuple[np.ndarray, float]], float]:
-    """Return ([(mask, gain)], the sum of the gains) of the free-form things that pay beside the solids of a state."""
+def pieces_of(seen: Observation, state: State, cost: Cost, settings: Settings) -> tuple[list[np.ndarray], float]:
+    """Return ([mask] of free-form things that pay beside the solids of a state, the tempered nats that they gain)."""
     image = seen.image
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
@@ -271,7 +264,7 @@ def pieces_of(
         low, high = ends_of(points, ENDS)
         if high[2] < max(LEAST_HEIGHT * seen.scale, settings.uneven) or max(high[:2] - low[:2]) > LARGEST:
             continue
-        found.append((mask, float(gain[k])))
+        found.append(mask)
         total += float(gain[k])
     return found, total
 
@@ -280,7 +273,7 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
     """Return (Observation, State, masks) without the solids and the free-form things that are pieces of the background.
 
     What stands there is told apart body by body (`background.py`) before solids are known; a hand that touches a carton
-    or a wall's lower end are found as solids of their own only then. masks : [(mask, gain)] of free-form things.
+    or a wall's lower end are found as solids of their own only then. masks : [(H, W) bool] of free-form things.
     """
     image = seen.image
     good = image.weight > 0
@@ -297,7 +290,7 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
         return not fills and mask.sum() >= FEWEST and is_background(surface, mask, normal, behind, beyond, frame)
 
     keep, shown = set(), good & (misfit < LIMIT)
-    things = np.any([gone, *(mask for mask, _ in masks)], axis=0)
+    things = np.any([gone, *masks], axis=0)
     for k in range(len(state)):
         mask = shown & (label == k)
         seen_there = silhouette(image, state, k) & ~things & ((label < 0) | (label == k))
@@ -306,11 +299,11 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
         else:
             keep.add(k)
     left = []
-    for mask, gain in masks:
+    for mask in masks:
         if goes(mask):
             gone |= mask
         else:
-            left.append((mask, gain))
+            left.append(mask)
     image.floor[gone] = image.depth[gone]
     return seen._replace(behind=behind | gone), subset(state, keep), left
 

@@ -15,7 +15,8 @@ from itertools import product
 import numpy as np
 
 from derender.detection.compounds import neck
-from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, polished, without_thing
+from derender.detection.freestanding import without_thing
+from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, polished
 from derender.detection.search.greedy import Settings
 from derender.detection.search.moves import ALIGNED, alignment, extents_along
 from derender.detection.search.observation import CORRELATED, Observation
@@ -69,7 +70,7 @@ def with_stacks(
         return seen, state, refined
     things, found = [], refined.state
     for thing in seen.things:
-        there, bottom = seen._replace(image=without_thing(seen.image, thing)), lowest(thing.row)
+        there, bottom = seen._replace(image=without_thing(seen.image, thing.mask)), lowest(thing.row)
         one = found.add(thing.row, UPRIGHT, False, thing.parent, bottom)
         two = as_stack(rng, there, refined, one, len(found), thing.mask, settings)
         if two is None:
