@@ -326,7 +326,9 @@ def tempered(
 
 
 LOCAL = ("drift", "slide")  # kernels that move a starting population
-START_STEPS = 40  # of the mixture, for each particle and temperature
+# Of the mixture, for each particle and temperature. Of a tower of four cubes one population of 32 found the mode in 6 to
+# 8 of 16 with 40 of them, in 13 to 16 with 100; and where all four missed it, chains agreed on a lesser one.
+START_STEPS = 100
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
 # Temperature and rounds of the walks from there, one stage after the other: where the likelihood counts less narrow
 # modes are wide, and what all of them met leads the next walks, one object at a time, from one mode to others.

@@ -8,6 +8,7 @@ from toy_worlds import World
 from derender import data_path
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.posterior import sampler
+from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.relocate import fitted, seen_place
 from derender.posterior.sampler import MixtureSampler, Population, Settings, Walk
@@ -57,6 +58,25 @@ def test_the_tower_in_the_image_is_found(seed):
     backend = made.backend()
     best = max(sum(backend.evaluate(place)) for place in prepared.places[::20])
     assert best > sum(backend.evaluate(truth)) - 8.0
+
+
+@pytest.mark.slow
+def test_most_single_populations_find_the_tower():
+    """Chains begin where four populations end: where each finds the mode every other time only, all four miss it in one
+    scene of twenty, and chains that agree on a lesser mode were told as certain, 104 and 54 nats below the truth."""
+    found = []
+    for seed in (35, 48):
+        truth, target = tower(seed)
+        parts = [part for part in mixture(target.space, default_parts()) if part.type in sampler.LOCAL]
+        backend, asked = backend_of(target, parts), Settings()
+        least = sum(backend.evaluate(truth)) - 8.0
+        for number in range(6):
+            ended = sampler.tempered(
+                np.random.default_rng([seed, number]), target.space, backend, parts, asked.population,
+                sampler.START_STEPS, asked.particles, sampler.SHARE,
+            )  # fmt: skip
+            found.append(ended.densities.sum(axis=1).max() > least)
+    assert sum(found) >= 8  # of 12; with 40 steps 5 or so
 
 
 def test_a_walk_that_never_came_to_a_kernel_leaves_its_steps_as_they_were(monkeypatch):
