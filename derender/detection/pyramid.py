@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.render.blur import blur, blur_along, blur_taps
+from derender.render.blur import blur, weighed_along_both
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -395,8 +395,9 @@ def unmixed(depth: np.ndarray, beside: np.ndarray, blurred: float, sigma: float)
 
 def without_leaks(seen: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
     """Return an image (H, W) less what a blur of so many pixels leaked into each from others; sigma : of its noise."""
-    undone = np.linalg.inv(blur_along(np.eye(2 * REACH + 1), blur_taps(blurred), 0))[REACH, REACH:]
-    sharp, quiet = blur_along(blur_along(seen, undone, 0), undone, 1), seen
+    columns = [blur(column[:, None], blurred) for column in np.eye(2 * REACH + 1)]
+    undone = np.linalg.inv(np.hstack(columns))[REACH, REACH:].copy()
+    sharp, quiet = weighed_along_both(seen, undone), seen
     for _ in range(SMOOTHED):
         smooth = smoothed(sharp, quiet, sigma)
         sharp = quiet = seen - (blur(smooth, blurred) - smooth)

@@ -326,8 +326,8 @@ def tempered(
 
 
 LOCAL = ("drift", "slide")  # kernels that move a starting population
-# Of the mixture, for each particle and temperature. Of a tower of four cubes one population of 32 found the mode in 6 to
-# 8 of 16 with 40 of them, in 13 to 16 with 100; and where all four missed it, chains agreed on a lesser one.
+# Of the mixture, for each particle and temperature. One population of 32 found a tower of four cubes in 6 to 8 of 16
+# tries with 40 of them, in 13 to 16 with 100; and where all four missed it, chains agreed on a lesser mode.
 START_STEPS = 100
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
 # Temperature and rounds of the walks from there, one stage after the other: where the likelihood counts less narrow

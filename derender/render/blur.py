@@ -36,29 +36,19 @@ def blur(image: np.ndarray, sigma: float) -> np.ndarray:
     The same as `scipy.ndimage.gaussian_filter(image, sigma, mode="nearest", radius=blur_radius(sigma))`, whose import
     takes longer than many images.
     """
-    image = np.asarray(image, np.float64)
-    taps = blur_taps(sigma)
-    for axis in (0, 1):
-        image = blur_along(image, taps, axis)
-    return image
+    return weighed_along_both(image, blur_taps(sigma))
 
 
-def blur_along(image: np.ndarray, taps: np.ndarray, axis: int) -> np.ndarray:
-    """Blur an (H, W) image along one axis, with the weights of `blur_taps`."""
-    radius, length = len(taps) - 1, image.shape[axis]
-    padded = image.take(np.clip(np.arange(-radius, length + radius), 0, length - 1), axis=axis)
+def weighed_along_both(image: np.ndarray, taps: np.ndarray) -> np.ndarray:
+    """Return an (H, W) image whose pixels are weighed along both axes, edges replicated, in float64.
 
-    def shifted(by: int) -> np.ndarray:
-        inside = slice(radius + by, radius + by + length)
-        return padded[inside] if axis == 0 else padded[:, inside]
-
-    blurred = taps[0] * shifted(0)
-    both = np.empty_like(blurred)
-    for k in range(1, radius + 1):
-        np.add(shifted(-k), shifted(k), out=both)
-        both *= taps[k]
-        blurred += both
-    return blurred
+    taps : (radius + 1,) weights from the centre outwards.
+    """
+    image = np.ascontiguousarray(image, np.float64)
+    height, width = image.shape
+    found = np.empty(image.shape)
+    blur_into(taps, image, 0, width, 0, height, found)
+    return found
 
 
 @njit(cache=True, nogil=True)
