@@ -33,7 +33,8 @@ import numpy as np
 
 from derender.cli import group, status_of
 
-LONGEST = 25  # seconds for one try
+LONGEST = 25  # seconds of CPU for one try: others may be at work on the same machine
+PATIENCE = 4 * LONGEST  # seconds of the clock: whoever waits for something that never comes is found too
 PRIOR = """derender: 1
 camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}
 root: {position: [0, 0.1, 0.9], quat_wxyz: [0.5, 0.866, 0, 0]}
@@ -158,19 +159,27 @@ def make_inputs(folder: Path) -> None:
     for words in ("infer image.npz -q -o result", "simulate result --duration 0.05 --draws 5 -q",
                   "infer image.npz --scene prior.yaml -q -o given", "simulate given --duration 0.05 --draws 3 -q",
                   "infer film --track --fps 30 --camera camera.json -q -o track"):  # fmt: skip
-        run(words.split())
+        status, _, err, trace = run(words.split(), limited=False)
+        if status:
+            sys.exit(f"the inputs cannot be made: derender {words}: status {status} {err}{trace}")
     Path("truth.json").write_text(run("show scene.yaml --json".split())[1])
 
 
-def run(words: list[str]) -> tuple[int | None, str, str, str]:
-    """Run a command in this process; return its status, stdout, stderr, and the traceback where it ended with one."""
+def run(words: list[str], limited: bool = True) -> tuple[int | None, str, str, str]:
+    """Run a command in this process; return its status, stdout, stderr, and the traceback where it ended with one.
+
+    limited : whether it may take only so long.
+    """
     out, err, trace, status = io.StringIO(), io.StringIO(), "", None
 
     def late(number, frame):
-        raise TimeoutError(f"not done after {LONGEST} s")
+        raise TimeoutError(f"not done after {LONGEST} s of CPU, or {PATIENCE} s of the clock")
 
+    limits = {signal.ITIMER_PROF: LONGEST, signal.ITIMER_REAL: PATIENCE} if limited else {}
+    signal.signal(signal.SIGPROF, late)
     signal.signal(signal.SIGALRM, late)
-    signal.alarm(LONGEST)
+    for timer, seconds in limits.items():
+        signal.setitimer(timer, seconds)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = status_of(lambda: group.main(args=words, prog_name="derender", standalone_mode=False))
@@ -179,7 +188,8 @@ def run(words: list[str]) -> tuple[int | None, str, str, str]:
     except BaseException:
         trace = traceback.format_exc()
     finally:
-        signal.alarm(0)
+        for timer in limits:
+            signal.setitimer(timer, 0)
     return status, out.getvalue(), err.getvalue(), trace
 
 
@@ -339,7 +349,7 @@ def hostile(r: random.Random, only: str) -> tuple[list[str], str]:
 def run_in(surroundings: str, words: list[str]) -> tuple[int | None, str, str, str]:
     """Run a command in a process of its own; what `run` returns."""
     line = SURROUNDINGS[surroundings].format(f"{sys.executable} -P -m derender {' '.join(words)}")
-    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, errors="replace", timeout=4 * LONGEST)
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, errors="replace", timeout=PATIENCE)
     return done.returncode, done.stdout, done.stderr, ""
 
 
