@@ -3,7 +3,7 @@
 Vehtari, Gelman, Simpson, Carpenter, Buerkner, "Rank-normalization, folding, and localization: an improved R-hat"
 (Bayesian Analysis 2021), without scipy: the figures are ArviZ's to 1e-6 without its second and a half of import.
 Every function takes `draws` : (chains, draws) float of one parameter and returns a float, nan for fewer than four draws
-or for values that are not finite; `agree` and `far_apart` judge all parameters.
+or for values that are not finite; `far_apart` judges all parameters.
 """
 
 from functools import lru_cache
@@ -170,16 +170,7 @@ def _autocovariance(draws: np.ndarray) -> np.ndarray:
     return np.fft.irfft(spectrum * np.conj(spectrum), padded, axis=1)[:, :count] / count
 
 
-AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
 FAR = 1.3  # R-hat of chains in modes of their own
-
-
-def agree(values: np.ndarray) -> bool:
-    """Whether chains (C, D, N) of enough draws to tell mix well enough to be trusted for a quick look."""
-    if values.shape[1] < FEW:
-        return True
-    columns = np.moveaxis(values, -1, 0)
-    return not any(hat > AGREE or ess < ENOUGH for hat, ess in map(r_hat_and_ess, columns))
 
 
 def far_apart(values: np.ndarray) -> bool:

@@ -13,12 +13,14 @@ from scipy.stats import kstest
 from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Rules, bare_image
-from derender.detection.solids.graph import matched_names, scene_graph, structure_key
+from derender.detection.solids.graph import matched_names, names_of, scene_graph, structure_key
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.evaluator import DepthEvaluator
+from derender.report.tables import parameter_rows
+from derender.results.trust import doubtful
 from derender.scene.graph import Contact, Vertex
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -35,9 +37,9 @@ from derender.structures.draws.chart import (
     touching_area,
 )
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample, walker_at
+from derender.structures.draws.metropolis import Draws, engine_of, evaluate, load, log_evidence, run, sample, walker_at
 from derender.structures.draws.numbers import numbers_of_draws, scene_log_prior
-from derender.structures.draws.refined import Refined, chains_of, structure_posterior
+from derender.structures.draws.refined import Refined, agreed, chains_of, structure_posterior
 from derender.structures.draws.sensor import (
     RATES,
     Sensor,
@@ -542,7 +544,7 @@ def test_chains_that_do_not_agree_go_on_while_it_is_worth_it_or_as_long_as_was_s
     refined = Refined(cube(), chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
     genuine, told = metropolis.final_draws, []
     monkeypatch.setattr(metropolis, "final_draws", lambda *walk: told.append(walk) or genuine(*walk))
-    monkeypatch.setattr(metropolis, "agree", lambda draws: len(told) == 6)
+    monkeypatch.setattr("derender.structures.draws.refined.agreed", lambda refined, drawn: len(told) == 6)
     monkeypatch.setattr(metropolis, "far_apart", lambda draws: False)
     settings = Settings()._replace(until=None if budget is None else time.monotonic() + budget)
     monkeypatch.setattr(graph_posterior, "weighed_structures", lambda rng, *_: [(refined, 0.0, ["cube_1"], 0.0)])
@@ -560,10 +562,29 @@ def test_chains_that_do_not_agree_have_ended_when_the_budget_is_spent(monkeypatc
         return genuine(rng, walkers, steps, count, thin, *rest)
 
     monkeypatch.setattr(metropolis, "final_draws", drawn)
-    monkeypatch.setattr(metropolis, "agree", lambda draws: False)
     monkeypatch.setattr(metropolis.time, "monotonic", lambda: clock[0])
-    metropolis.sample(np.random.default_rng(7), chart, sensor, values, 2, 4, 1, until=7.0)
+    metropolis.sample(np.random.default_rng(7), chart, sensor, values, 2, 4, 1, until=7.0, agreed=lambda drawn: False)
     assert clock[0] == 4.0  # 1 + 1 + 2, and 4 more would be too many
+
+
+def test_within_a_budget_chains_go_on_until_what_is_told_is_to_be_trusted():
+    """Not until the coordinates agree, which are other numbers: here they did at once, and a theta's R-hat was 1.1."""
+    sensor, chart, values = observe(np.random.default_rng(6), stack(), {"sigma": 0.003}, camera(40, 30))
+    refined = Refined(stack(), chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    rng = np.random.default_rng(2)
+    chains = chains_of(rng, refined, 2, 20, time.monotonic() + 600)
+    part = structure_posterior(rng, refined, names_of(stack()), 1.0, chains)
+    rows = parameter_rows(part.addresses, part.values, dict(zip(part.addresses, part.periods, strict=True)))
+    assert not [row["address"] for row in rows if doubtful(row)]
+
+
+@pytest.mark.parametrize(("draws", "enough"), [(100, True), (500, False)])
+def test_chains_agree_by_the_limits_for_so_many_draws(draws, enough):
+    """Their middles are half a standard deviation apart: a quick look does not show that, and 1,000 draws do."""
+    sensor, chart, values = observe(np.random.default_rng(6), cube(), {"sigma": 0.003}, camera(40, 30))
+    refined = Refined(cube(), chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    scattered = values + 1e-3 * np.random.default_rng(0).normal([[[0.0]], [[0.5]]], 1.0, (2, draws, len(values)))
+    assert agreed(refined, [Draws(each, np.zeros((draws, 2)), 0.3) for each in scattered]) is enough
 
 
 def test_draws_are_of_what_tips_as_rarely_as_the_prior_says():

@@ -15,6 +15,7 @@ Scales, factors and centers are learnt in the warm-up and fixed afterwards.
 
 import itertools
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -35,7 +36,7 @@ from derender.render.raycast.engine import (
 )
 from derender.render.raycast.evaluator import engine_under
 from derender.render.raycast.state import CANDIDATE, CURRENT, EngineState
-from derender.sampling.diagnostics import agree, far_apart
+from derender.sampling.diagnostics import far_apart
 from derender.sampling.evidence import Evidence, evidence
 from derender.sampling.metropolis import DENSITY, PRIOR, Steps, mean_scale, walk
 from derender.scene.pose import copy_placed
@@ -313,7 +314,8 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
 
 def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, chains: int, count: int,
            thin: int, only: list[int] | None = None, open_blur: bool = False,
-           until: float | None = None, rounds: tuple = ()) -> list[Draws]:  # fmt: skip
+           until: float | None = None, rounds: tuple = (),
+           agreed: Callable[[list[Draws]], bool] = lambda drawn: True) -> list[Draws]:  # fmt: skip
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
@@ -324,7 +326,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     only : coordinates that may move, None for all. open_blur : whether the draws are of the blur too, of which there is
         one for each view: some sides lie where they do only under one blur. Then a draw's density is under its own.
     until : time.monotonic() by which chains that do not agree have gone on; None: while it is worth it. rounds : of the
-        warm-up, other than ROUNDS.
+        warm-up, other than ROUNDS. agreed : whether chains do, by their Draws.
     """
     members = list(range(len(values)) if only is None else only)
     walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
@@ -355,12 +357,12 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
         drawn = final_draws(rng, walkers, steps, count, thin, sensor, blurs)
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
-        told = np.stack([each.values[:, members] for each in drawn])
         if until is None:
-            over = number == LONGER + (len(members) > MANY) or bool(former and far_apart(told))
+            met = np.stack([each.values[:, members] for each in drawn])
+            over = number == LONGER + (len(members) > MANY) or bool(former and far_apart(met))
         else:
             over = 2.0 * time.monotonic() - began > until  # going on takes as long as all that was drawn
-        if over or chains == 1 or agree(told):
+        if over or agreed(drawn):
             break
         met = np.concatenate([draws.values[:, members] for draws in drawn])
         spread, center[members] = spread_of(met, factor), met.mean(axis=0)

@@ -14,10 +14,12 @@ from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED, of_whole_image
 from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
-from derender.detection.solids.graph import scene_graph
+from derender.detection.solids.graph import names_of, scene_graph
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
+from derender.results.trust import doubtful
+from derender.sampling.diagnostics import r_hat_and_ess, unwrap
 from derender.sampling.evidence import Evidence, draw_t, fit, log_t
 from derender.structures.draws.chart import Chart, make_chart, placed, rows_at
 from derender.structures.draws.curvature import Curvature
@@ -41,6 +43,7 @@ ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
 # Pixels of the steps by which a blur is changed with the solids, and steps of the climb after each, for each solid.
 LONGEST_BLUR_STEP, LEAST_BLUR_STEP, FOLLOWED = 0.05, 0.01, 50
+FEW = 20  # draws of a chain from which on they tell whether chains agree
 STEPS, MOST_STEPS = 2, 125  # between two draws: for each coordinate, and at most
 BLUR_POINTS = 60  # at which blurs are summed over
 # Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.
@@ -235,7 +238,23 @@ def chains_of(
 ) -> list[Draws]:
     """Return a list of Draws, the blur open, one for each chain; each starts where a hot walk of its own ends."""
     steps = min(STEPS * len(refined.values), MOST_STEPS)
-    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, None, True, until)
+    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, None, True, until,
+                  agreed=partial(agreed, refined))  # fmt: skip
+
+
+def agreed(refined: Refined, chains: list[Draws]) -> bool:
+    """Whether chains of enough draws to tell agree about all numbers that are told of them, as they are judged then.
+
+    Coordinates that agree are not enough: of a few draws a number that several of them make may have R-hat 1.14.
+    """
+    if len(chains) == 1 or len(chains[0].values) < FEW:
+        return True
+    told = structure_posterior(np.random.default_rng(0), refined, names_of(refined.state), 1.0, chains)
+    for column, period in zip(np.moveaxis(told.values, -1, 0), told.periods, strict=True):
+        r_hat, effective = r_hat_and_ess(unwrap(column, period))
+        if doubtful({"r_hat": r_hat, "ess_bulk": effective, "draws": column}):
+            return False
+    return True
 
 
 def floor_pose_of(refined: Refined) -> np.ndarray:
