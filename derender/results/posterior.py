@@ -24,14 +24,16 @@ from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
 from derender.results.fit import Explanation
 from derender.scene.codec.yaml_tree import parse_yaml
+from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.scene.pose import inverse
+from derender.scene.pose import inverse, rotation_z
 from derender.scene.priors.objects import check_range
 from derender.scene.shapes import shapes
 
 FORMAT = 2  # of posterior.npz
 TOLD = ("addresses", "weight", "weight_error", "weight_interval", "periods", "extras")  # of each part, in its header
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
+SAME = 1e-9  # metres and radians by which frames that are the same differ, by rounding
 NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
 UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError,
@@ -377,8 +379,8 @@ def check_parts(parts: Sequence[Any]) -> None:
 def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posterior:
     """Return several posteriors of the same scene as one with the chains of all, cut to the shortest.
 
-    Of each its most probable structure counts. Where runs found the floor in a bare image each for itself, what stands
-    on it is told in the first one's frame.
+    Of each its most probable structure counts. Where runs found the floor in a bare image each for itself, and its
+    solids turned so that they look the same, contacts are told in the frames of the first one.
 
     names : of the runs, for what is said of them.
 
@@ -405,31 +407,50 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
 
 
 def as_seen_from(first: StructurePosterior, part: StructurePosterior) -> StructurePosterior:
-    """Return a part with x, y (metres) and theta (radians) on its floor told in the frame of another part's floor.
+    """Return a part with its contacts told in the frames of another's objects, in which nothing is seen to change.
 
-    The two are taken to be one plane: by how much they differ in height and tilt is left out. A floor or a root whose
-    pose has addresses of its own is another in each draw: then all stays as it is.
+    One run may have found the floor's origin elsewhere, and a cube a quarter turn further, which looks the same. The
+    floors are taken to be one plane: by how much they differ in height and tilt is left out. Where a pose in the camera
+    has addresses of its own, as that of a floor that is given, all stays as it is.
     """
-    floors = [vertex for vertex in part.graph.vertices if vertex.shape == "plane"]
-    if len(floors) != 1 or any(address.startswith(("root.", f"{floors[0].name}.")) for address in part.addresses):
+    floors = [vertex.name for vertex in part.graph.vertices if vertex.shape == "plane"]
+    if len(floors) != 1 or any(address.startswith(("root.", f"{floors[0]}.")) for address in part.addresses):
         return part
-    floor = floors[0].name
+    turns, (floor,) = symmetric_turns(first.graph, part.graph), floors
     here, there = part.graph.poses(), first.graph.poses()
-    change = inverse(there[floor]) @ here[floor]
-    if np.array_equal(change, np.eye(4)):
+    turns[floor] = inverse(here[floor]) @ there[floor]
+    turns[ROOT] = inverse(here[ROOT]) @ here[floor] @ turns[floor] @ inverse(there[floor]) @ there[ROOT]
+    if all(np.allclose(turn, np.eye(4), rtol=0.0, atol=SAME) for turn in turns.values()):
         return part
     values = part.values.copy()
-    for vertex in part.graph.vertices:
-        addresses = [f"{vertex.name}.contact.{key}" for key in ("x", "y", "theta")]
-        if vertex.parent != floor or vertex.contact.parent_face != "+z" or not set(addresses) <= set(part.addresses):
-            continue
-        places = [part.addresses.index(address) for address in addresses]
-        x, y, theta = np.moveaxis(part.values[:, :, places], -1, 0)
-        points = np.stack([x, y, np.zeros_like(x), np.ones_like(x)], -1) @ change.T
-        turn = np.arctan2(change[1, 0], change[0, 0])
-        values[:, :, places] = np.stack([points[..., 0], points[..., 1], theta + turn], -1)
-    roots = part.root_pose
-    if roots is not None:  # so that each draw's poses are what they were
-        own, other = inverse(here[ROOT]) @ here[floor], inverse(there[ROOT]) @ there[floor]
-        roots = roots @ own @ inverse(change) @ inverse(other)
+    for chain, draw in np.ndindex(values.shape[:2]):
+        graph = part.graph_at(chain, draw)
+        poses = {name: pose @ turns[name] for name, pose in graph.poses().items()}
+        for vertex in first.graph.vertices:
+            contact, bodies = vertex.contact, (graph.body(vertex.parent), graph.body(vertex.name))
+            relative = inverse(poses[vertex.parent]) @ poses[vertex.name]
+            told = contacts[contact.type].invert(relative, *bodies, contact.parent_face, contact.child_face).values
+            for place, address in enumerate(part.addresses):
+                name, _, key = address.partition(".contact.")
+                if name == vertex.name and key:
+                    values[chain, draw, place] = told[key]
+    roots = None if part.root_pose is None else part.root_pose @ turns[ROOT]
     return replace(part, values=values, root_pose=roots)
+
+
+def symmetric_turns(first: SceneGraph, graph: SceneGraph) -> dict[str, np.ndarray]:
+    """Return by name the pose (4, 4) of the axes that an object of `first` has, in those of the same one of `graph`.
+
+    Of all rotations that leave the object as it is the one that brings them nearest; the floor is elsewhere in each.
+    """
+    here, there, turns = graph.poses(), first.poses(), {}
+    for vertex in graph.vertices:
+        symmetry, turn = vertex.body.shape.symmetry, np.eye(4)
+        relative = here[vertex.name][:3, :3].T @ there[vertex.name][:3, :3]
+        near = max(symmetry.rotations, key=lambda rotation: float(np.sum(rotation * relative)))
+        if symmetry.axis == "z":  # and about it as it is there
+            left = near.T @ relative
+            near = near @ rotation_z(float(np.arctan2(left[1, 0] - left[0, 1], left[0, 0] + left[1, 1])))[:3, :3]
+        turn[:3, :3] = relative if symmetry.axis == "all" else near
+        turns[vertex.name] = turn
+    return turns

@@ -57,6 +57,34 @@ def test_a_floor_found_elsewhere_changes_no_pose(wandering):
     assert not np.allclose(joined.values[1], values[0])
 
 
+def test_a_cube_found_a_quarter_turn_further_bears_what_it_bore():
+    """It looks the same, and its theta is the same but for its period; where on it another stands is told anew."""
+    rng = np.random.default_rng(2)
+    numbers = {"theta": 0.2, "u": 0.7, "v": 0.4}
+    addresses = ADDRESSES + tuple(f"top.contact.{key}" for key in numbers)
+    values = np.array([0.3, 0.1, 0.2, *numbers.values()]) + rng.normal(0, 0.01, (1, 6, 6))
+
+    def stack(values):
+        part = run(np.eye(4), values[..., :3]).best_part
+        top = Contact("face-to-face", "+z", "-z", dict(zip(numbers, values[0, 0, 3:], strict=True)))
+        graph = part.graph.add(Vertex("top", "cube", {"side": 0.08}, "box", top))
+        return replace(part, graph=graph, addresses=addresses, values=values, periods=(None,) * 6)
+
+    first = stack(values)
+    turned = values.copy()
+    for draw in range(6):
+        poses = first.graph_at(0, draw).poses()
+        poses["box"] = poses["box"] @ rotation_z(np.pi / 2)
+        bodies = [first.graph.body(name) for name in ("floor", "box", "top")]
+        for place, parent, child in ((0, "floor", "box"), (1, "box", "top")):
+            relative = np.linalg.inv(poses[parent]) @ poses[child]
+            told = contacts["face-to-face"].invert(relative, *bodies[place : place + 2], "+z", "-z").values
+            turned[0, draw, 3 * place : 3 * place + 3] = list(told.values())[:3]
+    assert not np.allclose(turned[..., 4:], values[..., 4:], atol=0.05)
+    joined = merge_runs([Posterior((first,)), Posterior((stack(turned),))], ("a", "b")).parts[0]
+    np.testing.assert_allclose(joined.values[1], values[0], atol=1e-9)
+
+
 def wander(rng, posterior):
     """Return a posterior whose root is a little higher or lower in each draw."""
     part = posterior.best_part
