@@ -34,6 +34,7 @@ import numpy as np
 from derender.cli import group, status_of
 
 LONGEST = 25  # seconds of CPU for one try: others may be at work on the same machine
+LEFT_OUT = 0.1  # share of the tries with absurd options whose last words are missing
 PATIENCE = 4 * LONGEST  # seconds of the clock: whoever waits for something that never comes is found too
 PRIOR = """derender: 1
 camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}
@@ -318,7 +319,7 @@ def damage(r: random.Random, only: str) -> tuple[list[str], str]:
 
 
 def absurd_options(r: random.Random, only: str) -> tuple[list[str], str]:
-    """Give a command options with words that were not meant for them."""
+    """Give a command options with words that were not meant for them, or too few words."""
     words = r.choice([words for words, _ in TRIES if only in words]).format(cam="camera.json", ext="glb").split()
     command = importlib.import_module(f"derender.cli.{words[0]}").command
     for option in r.sample(command.params, min(len(command.params), r.choice([1, 1, 2, 3]))):
@@ -326,7 +327,7 @@ def absurd_options(r: random.Random, only: str) -> tuple[list[str], str]:
             continue
         words += [r.choice([*option.opts, *option.secondary_opts])]
         words += [] if option.is_flag else [r.choice(WORDS)]
-    return words, ""
+    return words[: r.randrange(1, len(words)) if r.random() < LEFT_OUT else None], ""
 
 
 SURROUNDINGS = {

@@ -8,7 +8,7 @@ from derender.cli.options import Talk
 
 @click.command()
 @click.argument("frames", nargs=-1, required=True, metavar="FRAMES...")
-@options.output("YAML file of the sensor; - is stdout.", "-", "FILE")
+@options.output("YAML file of the sensor; - is stdout.", "FILE", default="-")
 @options.camera
 @options.depth_scale
 @options.verbosity

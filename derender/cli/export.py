@@ -9,7 +9,7 @@ from derender.cli.options import Talk
 @click.command()
 @click.argument("scene", metavar="SCENE-or-DIR")
 @options.output(
-    "The suffix is the format: .glb .obj .xml (MuJoCo) .urdf .json (BOP) .rrd (rerun).", None, "FILE", required=True
+    "The suffix is the format: .glb .obj .xml (MuJoCo) .urdf .json (BOP) .rrd (rerun).", "FILE", required=True
 )
 @options.quiet
 def command(scene: str, output: str, talk: Talk) -> None:

@@ -181,7 +181,7 @@ IDLE = (
 )
 @click.option("--resume", is_flag=True, help="Go on where the same command was stopped.")
 @options.seed
-@options.output("Folder for the results. Default: the image's name with _inferred.", None, "DIR")
+@options.output("Folder for the results. Default: the image's name with _inferred.", "DIR")
 @options.strict
 @options.verbosity
 @options.tells_idle(*IDLE)

@@ -21,7 +21,7 @@ LITTLE = 0.1  # nats: an image that tells no more is not worth taking
     default="sizes",
     help="What another image is to tell: sizes, which structure it is, or whether the scene stands.",
 )
-@options.output("File of the poses, and beside it the picture. Default: DIR/poses.json.", None, "FILE")
+@options.output("File of the poses, and beside it the picture. Default: DIR/poses.json.", "FILE")
 @options.as_json
 @options.seed
 @options.quiet

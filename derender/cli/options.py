@@ -207,16 +207,15 @@ noise = click.option("--noise/--no-noise", default=False, help="Draw from the li
 strict = click.option("--strict", is_flag=True, help="Exit with status 3 where the result is not to be trusted.")
 
 
-def output(help: str, default: str | None = None, metavar: str = "PATH", **more: Any) -> Callable[..., Any]:
-    """Return the option -o, `output` in the command, which has a name or "-" in it."""
+def output(help: str, metavar: str = "PATH", **more: Any) -> Callable[..., Any]:
+    """Return the option -o, `output` in the command, which has a name or "-" in it. more : what click takes besides."""
 
     def named(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
         if value == "":
             raise click.BadParameter("it is empty")
         return value
 
-    return click.option("-o", "--output", metavar=metavar, default=default, help=help,
-                        callback=named, **more)  # fmt: skip
+    return click.option("-o", "--output", metavar=metavar, help=help, callback=named, **more)
 
 
 def command_line() -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, metavar="DIR...")
-@options.output("Where to write the page. Default: report.html in the first DIR.", metavar="FILE.html")
+@options.output("Where to write the page. Default: report.html in the first DIR.", "FILE.html")
 @click.option("--table/--no-table", default=True, help="Print the table of parameters on stdout.")
 @options.quiet
 def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Talk) -> None:

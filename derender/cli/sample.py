@@ -14,7 +14,7 @@ from derender.errors import Idle
 @click.argument("prior", default="tabletop", metavar="[PRIOR]")
 @click.option("-n", "count", type=click.IntRange(1, 1_000_000), default=1, help="How many scenes.")
 @options.output(
-    "Folder for the files; - streams the scenes as YAML documents to stdout, without images.", ".", "FOLDER"
+    "Folder for the files; - streams the scenes as YAML documents to stdout, without images.", "FOLDER", default="."
 )
 @click.option("--images/--no-images", default=True, help="Write a depth image for each scene.")
 @click.option("--noise/--no-noise", default=True, help="Draw the image from the likelihood (Eq. 6), or clean.")

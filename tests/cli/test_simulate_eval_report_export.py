@@ -197,6 +197,11 @@ def test_report_of_one_and_of_several(capsys, folder):
     assert status == 0 and out == "" and "explained depth" in (folder / "stands.html").read_text()
 
 
+def test_export_without_a_file_is_misused(capsys, folder):
+    status, _, talk = run(capsys, "export", "stands.yaml")
+    assert status == 2 and "Missing option '-o'" in talk
+
+
 def test_export_from_scene_and_folder(capsys, folder):
     for source in ("stands.yaml", "out"):
         status, _, talk = run(capsys, "export", source, "-o", "x.xml")
