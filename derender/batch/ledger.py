@@ -12,7 +12,7 @@ from urllib.parse import quote
 from derender import __version__
 from derender.atomic import check_files, locked, make_folder, write_text
 from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in
-from derender.errors import DerenderError
+from derender.errors import DerenderError, printable
 from derender.json_text import misfit, parse_json
 from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
 
@@ -140,11 +140,10 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
         f'<form><fieldset><legend>Show</legend>{filters}</fieldset><label class="search">Search '
         '<input type="search" name="words" placeholder="frame, object or type"></label></form>'
         '<p class="soft"><a href="results.csv">results.csv</a> · <a href="results.jsonl">results.jsonl</a> · '
-        '<span role="status"></span></p>'
+        f'<span role="status"></span></p><p class="soft">Sizes are length × width × height in centimetres{ranges}.</p>'
         '<div class="scroll" tabindex="0" role="region" aria-label="frames"><table><thead><tr>'
         f'<th scope="col">depth and best scene</th>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
-        f'<p class="soft">Sizes are length × width × height in centimetres{ranges}. '
-        f"derender {__version__}</p>"
+        f'<p class="soft">derender {__version__}</p>'
     )
     style, script = ((HERE / name).read_text() for name in ("index.css", "index.js"))
     return as_page(f"derender: {len(frames)} frames", style, inside, script)
@@ -158,22 +157,23 @@ def state_of(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _row(folder: Path, name: str, state: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    place, solids = quote(name), [row for row in rows if row["object"] is not None]
+    place, shown = quote(name), escape(printable(name))
+    solids = [row for row in rows if row["object"] is not None]
     picture = title = ""
     if state != "failed":
-        picture = f'<img loading="lazy" src="{place}/{THUMBNAIL}" alt="depth and best scene of {escape(name)}">'
+        picture = f'<img loading="lazy" src="{place}/{THUMBNAIL}" alt="depth and best scene of {shown}">'
         page = "report.html" if (folder / name / "report.html").exists() else "summary.json"
-        title = f'<a href="{place}/{page}">{escape(name)}</a>'
+        title = f'<a href="{place}/{page}">{shown}</a>'
     listed = "".join(f"<li>{_object(row)}</li>" for row in solids[:MOST_OBJECTS])
     count = "" if state == "failed" else str(len(solids))
     if len(solids) > MOST_OBJECTS:
         listed += f"<li>and {len(solids) - MOST_OBJECTS} more</li>"
     doubts = "<br>".join(escape(str(doubt)) for doubt in rows[0]["doubts"] or ())
-    words = f"{name} " + " ".join(f"{row['object']} {row['type']}" for row in solids)
+    words = f"{printable(name)} " + " ".join(f"{row['object']} {row['type']}" for row in solids)
     order = list(STATES).index(state)
     return (
         f'<tr data-state="{state}" data-words="{escape(words.lower())}"><td>{picture}</td>'
-        f'<th scope="row" data-key="{escape(name)}">{title or escape(name)}</th>'
+        f'<th scope="row" data-key="{shown}">{title or shown}</th>'
         f'<td data-key="{order}"><span class="{state}">{STATES[state]}</span></td>'
         f'<td class="objects" data-key="{len(solids)}">{count}{f"<ul>{listed}</ul>" if listed else ""}</td>'
         f'<td class="doubts" data-key="{len(rows[0]["doubts"] or ())}">{doubts}</td></tr>'

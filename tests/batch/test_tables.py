@@ -214,8 +214,11 @@ def test_the_page_names_every_frame_and_escapes_it(tmp_path):
     }
     page = index_page(tmp_path, rows)
     assert "&lt;a&gt;/1" in page and "<b>:" not in page and "&lt;b&gt;: 20.0 ± 2.0 × 10.0 ± 1.0 × 5.0 ± 0.5" in page
+    assert page.index("in centimetres") < page.index("<table")  # of thousands of frames nobody sees the end
     assert 'src="%3Ca%3E/1/thumbnail.png"' in page and "no pixel &amp; more" in page
     assert [page.count(f'data-state="{state}"') for state in ("trusted", "doubtful", "failed")] == [1, 1, 1]
+    marked = index_page(tmp_path, {"a\x1b[31m\u202e": [failed_row("a", "no pixel")]})
+    assert "a\\x1b[31m\\u202e" in marked and not {"\x1b", "\u202e"} & set(marked)
     sure = {"sure": rows_of("sure", summary(FLOOR, box() | {"probability": 0.9999}))}
     assert "p &gt;.99" in index_page(tmp_path, sure)  # as everywhere: no more than that is said
     quick = {"quick": rows_of("quick", summary(FLOOR, box(), method="map"))}
