@@ -59,17 +59,21 @@ def _contact(graph: SceneGraph, vertex: Vertex) -> str:
         return f"{contact.type}, at ({position}) m, turned {turn:.1f} deg"
     faces = contact.parent_face, contact.child_face
     known = {p.name: p for p in graph.contact_parameters(vertex.name)}
-    numbers = [_number(name, value, known.get(name)) for name, value in values.items()]
+    bears = bool(graph.children(vertex.name))
+    numbers = [_number(name, value, known.get(name), bears) for name, value in values.items()]
     where = f" {faces[1]} on {faces[0]}" if faces != (None, None) else ""
     return ", ".join([f"{contact.type}{where}", *numbers])
 
 
-def _number(name: str, value: float, parameter: Any) -> str:
-    """Return a contact's number as people read it; an angle on the turn that tables have it on."""
+def _number(name: str, value: float, parameter: Any, bears: bool) -> str:
+    """Return a contact's number as people read it; an angle on the turn that tables have it on.
+
+    Of what bears something it is that of its axes: a cube a quarter turn further looks the same, u and v on it do not.
+    """
     if parameter is None or parameter.unit != "rad":
         return f"{name} {value:.3f} {parameter.unit if parameter else ''}".rstrip()
     if parameter.period:
-        value = within_a_turn(value, parameter.period)
+        value = within_a_turn(value, 2 * math.pi if bears else parameter.period)
     return f"{name} {math.degrees(value):.1f} deg"
 
 

@@ -281,3 +281,14 @@ def test_angles_are_shown_as_the_table_has_them():
         assert f"theta {told:.1f} deg" in theta(*shape, degrees)
         rows = parameter_rows([address], np.full((1, 4, 1), np.radians(degrees)), {address: np.radians(period)})
         assert cells(rows[0])[1] == f"{told:.2f}"
+
+
+def test_the_tree_of_a_stack_can_be_typed_in_again():
+    """A quarter turn of the lower cube less is not seen, but what stands on it would stand elsewhere."""
+    on = Contact("face-to-face", "+z", "-z", {"theta": np.radians(100), "x": 0.0, "y": 0.0})
+    top = Contact("face-to-face", "+z", "-z", {"theta": np.radians(100), "u": 0.7, "v": 0.2})
+    floor = Vertex("floor", "plane", {}, "root", Contact("6dof"))
+    graph = SceneGraph(np.eye(4), (floor, Vertex("low", "cube", {"side": 0.1}, "floor", on),
+                                   Vertex("top", "cube", {"side": 0.05}, "low", top)))  # fmt: skip
+    told = {name: line for line in scene_lines(graph) for name in ("low", "top") if f"{name}  " in line}
+    assert "theta 100.0 deg" in told["low"] and "theta 10.0 deg" in told["top"]
