@@ -344,7 +344,7 @@ def test_of_two_searches_each_part_is_taken_from_the_one_that_explains_it(rng):
     assert total_energy(image, new, Settings()) < min(total_energy(image, each, Settings()) for each in (one, two))
 
 
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_two_stacks_seen_by_a_sensor_are_three_cubes_with_every_seed(seed):
     """Greedy searches take a can for one stack, and searches that went on from there ended there."""
     image = read_depth(FRAMES / "realsense_two_stacks.png", FRAMES / "realsense_camera.json")

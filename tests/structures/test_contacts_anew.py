@@ -94,13 +94,16 @@ def test_contacts_made_anew_keep_the_prior(name):
     assert result.worst < bound(len(result.z)), result
 
 
-@pytest.mark.parametrize("name", KEEPING)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "relocate" else ()) for name in KEEPING]
+)
 def test_a_lost_jacobian_is_caught(name, monkeypatch):
     monkeypatch.setattr(model, "reattach", without_area)
     result = verdict_of(name, 3200, until_caught=True)
     assert result.worst > bound(len(result.z)), result
 
 
+@pytest.mark.slow
 def test_a_lost_proposal_ratio_is_caught(monkeypatch):
     monkeypatch.setattr(type(kernels["relocate"]), "proposal", without_ratio, raising=False)
     result = verdict_of("relocate", 3200, until_caught=True)
