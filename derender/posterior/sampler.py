@@ -99,6 +99,7 @@ class MixtureSampler:
     population: int = 16
     places: np.ndarray | None = None  # (n, P) to start from; None: they are looked for
     learned: Tuning | None = None  # what fits them
+    height: float = -math.inf  # mean log posterior density of the walks that met them
 
     @cached_property
     def _first(self) -> Backend:
@@ -136,6 +137,7 @@ class MixtureSampler:
             tuning = tuning._replace(scale=mean_scale([walk.scale for walk in walks]))
             tuning = fitted_to(space, tuning, places, borrowed)
         prepared.places, prepared.learned = np.concatenate([walk.later for walk in kept]), tuning
+        prepared.height = height
         return prepared
 
     def first_places(self, rng: np.random.Generator) -> np.ndarray:

@@ -25,10 +25,11 @@ from derender.compilation.threads import interruptible
 from derender.errors import DerenderError
 from derender.json_text import parse_json
 
-# Uses of a seed besides chains: drawn scenes, structures of one prior, tempered populations. Each has its own streams,
-# children of a SeedSequence: numpy takes a list such as [seed, 0] for the seed alone, and seed + 1 for the next seed,
-# which would share numbers. A chain has the child of its own number, without a use before it.
-SCENES, STRUCTURES, POPULATIONS = range(1, 4)
+# Uses of a seed besides chains: drawn scenes, structures of one prior, tempered populations, further searches for a
+# mode. Each has its own streams, children of a SeedSequence: numpy takes a list such as [seed, 0] for the seed alone,
+# and seed + 1 for the next seed, which would share numbers. A chain has the child of its own number, without a use
+# before it.
+SCENES, STRUCTURES, POPULATIONS, SEARCHES = range(1, 5)
 
 
 def sequence(seed: int, *key: int) -> np.random.SeedSequence:

@@ -1,8 +1,10 @@
 """What populations and walks find together before any draw is kept."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from small_scenes import SceneWorld
+from small_scenes import TOWER, SceneWorld
 from toy_worlds import World
 
 from derender import data_path
@@ -15,6 +17,8 @@ from derender.posterior.sampler import MixtureSampler, Population, Settings, Wal
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
 from derender.scene.distributions import distributions
+from derender.structures import given
+from derender.structures.given import FITS, short_of_noise
 
 
 class Narrow(World):
@@ -77,6 +81,55 @@ def test_most_single_populations_find_the_tower():
             )  # fmt: skip
             found.append(ended.densities.sum(axis=1).max() > least)
     assert sum(found) >= 8  # of 12; with 40 steps 5 or so
+
+
+@pytest.mark.parametrize("type", ["gaussian", "robust", "correlated"])
+def test_a_scene_that_leaves_something_unexplained_is_short_of_noise(type):
+    """A box five centimetres off is noticed, and noise is not, whatever the likelihood."""
+    world = SceneWorld(TOWER.replace("type: gaussian", f"type: {type}").replace("sigma: 0.05", "sigma: 0.004"))
+    rng = np.random.default_rng(4)
+    truth = world.space.sample(rng)
+    target = world.target(rng, truth)
+    off = truth.copy()
+    off[target.space.addresses.index("low.contact.x")] += 0.05
+    assert abs(short_of_noise(rng, target, truth)) < FITS < short_of_noise(rng, target, off)
+
+
+@pytest.mark.parametrize(
+    ("heights", "short", "ended", "asked"),
+    [
+        ([0.0], 1.0, 0.0, [8]),  # it fits
+        ([0.0, 2.0], 9.0, 2.0, [8, 8]),  # another found the same: what is left is the model's
+        ([0.0, -500.0, 300.0, 301.0], 9.0, 301.0, [8, 8, 16, 32]),
+        ([0.0, 300.0, 600.0, 300.0], 9.0, 600.0, [8, 8, 16, 32]),  # never the same: the likeliest of MOST_SEARCHES
+    ],
+)
+def test_what_leaves_much_unexplained_is_searched_again(heights, short, ended, asked, monkeypatch):
+    world, populations, left = two_modes(), [], iter(heights)
+
+    def prepared(self, seed):
+        populations.append(self.population)
+        return replace(self, height=next(left), places=np.array([[0.6]]))
+
+    monkeypatch.setattr(MixtureSampler, "prepared", prepared)
+    monkeypatch.setattr(given, "short_of_noise", lambda rng, target, values: short)
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    found = given.searched(MixtureSampler(target, mixture(world.space, [{"drift": {}}]), population=8), 3)
+    assert found.height == ended and populations == asked
+
+
+@pytest.mark.slow
+def test_cubes_that_float_anywhere_are_found():
+    """Figure 1, black: of these two a single search ends 4,500 and 50,000 nats below the truth."""
+    world = SceneWorld(data_path("priors/free.yaml").read_text())
+    for seed in (7, 10):
+        rng = np.random.default_rng([17, seed])
+        truth = world.space.sample(rng)
+        target = world.target(rng, truth)
+        made = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
+        backend, found = made.backend(), given.searched(made, seed)
+        best = max(sum(backend.evaluate(place)) for place in found.places[::20])
+        assert best > sum(backend.evaluate(truth)) - 12.0
 
 
 def test_a_walk_that_never_came_to_a_kernel_leaves_its_steps_as_they_were(monkeypatch):
