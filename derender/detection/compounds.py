@@ -12,7 +12,7 @@ import numpy as np
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.outline import ends_of, vertical_axis
 from derender.detection.patches import SeenSurface
-from derender.detection.search.bodies import TIGHT
+from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import Image, rotation_of
@@ -22,6 +22,7 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
 from derender.detection.things import BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
+from derender.scene.polygon import convex_outline, outline_planes
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
@@ -45,6 +46,8 @@ HIDDEN = 0.1  # share of a thing's outline beyond which something nearer may hid
 HANDLE = 0.25  # share of something's pixels that its handle or its head shows in at most
 SLENDER = 0.25  # of its height, how wide at most a thing is that could hardly stand on its end
 JOINT = 0.04  # share of a thing's outline along which a solid goes on that it is a part of
+# Share of what a thing bears that lies over it, at least; metres between the two that are not seen.
+OVER, PARTED = 0.75, 0.1
 # Of a free-form thing's pixels, and of its own outline: what shows so little beside it and meets it along so much is an
 # arm or a foot of it. What stands before something so much larger and touches it all along is rare.
 LITTLE, ALONG = 0.1, 1.0 / 3.0
@@ -81,6 +84,32 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
         state, found = joined(seen, state, parts, np.any(pieces, axis=0) if pieces else None)
         masks += found
     return state, masks
+
+
+def with_borne(seen: Observation, masks: list[np.ndarray]) -> tuple[Observation, list[np.ndarray]]:
+    """Return (Observation, [mask]) in which background that lies over a free-form thing, and is borne by it, is its.
+
+    What the image's border cuts may go on as a wall or an arm does, and hides where it is held; but a chair's seat is
+    all over its foot.
+
+    masks : [(H, W) bool] of the things.
+    """
+    behind, points = seen.behind.copy(), seen.points
+    body, count = label_bodies(points, behind, seen.surface.jump)
+    parted = PARTED * seen.floor_scale
+    for k in np.flatnonzero(np.bincount(body[behind], minlength=count) >= FEWEST):
+        part = body == k
+        low = ends_of(points[part][:, 2:], ENDS)[0]
+        for n, mask in enumerate(masks):
+            corners = convex_outline(np.ascontiguousarray(points[mask][:, :2]))
+            if corners is None or abs(low - ends_of(points[mask][:, 2:], ENDS)[1]) > parted:
+                continue
+            sides = outline_planes(corners)
+            beyond = (points[part][:, :2] @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+            if np.mean(beyond < 0.0) > OVER:
+                masks, behind = [*masks[:n], mask | part, *masks[n + 1 :]], behind & ~part
+                break
+    return seen._replace(behind=behind), masks
 
 
 def part_of_another(

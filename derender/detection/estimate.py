@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.compounds import compounds
+from derender.detection.compounds import compounds, with_borne
 from derender.detection.floor import NoFloor, sensor_deviation
 from derender.detection.freestanding import freestanding, returns_about
 from derender.detection.leftovers import leftovers
@@ -148,6 +148,7 @@ def on_one_floor(
             seen, state, masks = without_background(seen, state, masks)
             state.parents = final_parents(state)
             state, masks = compounds(seen, state, masks)
+            seen, masks = with_borne(seen, masks)
     state.parents = final_parents(state)
     state = state.ordered()
     seen, things = likely_things(seen, state, masks + clutter, settings)

@@ -5,6 +5,7 @@ import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
 from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, main_part, shows_foot
+from derender.detection.compounds import with_borne
 from derender.detection.floor import local_noise
 from derender.detection.patches import SeenSurface
 from derender.detection.search.observation import observe
@@ -40,6 +41,16 @@ def test_a_carton_stands_on_the_table_and_clutter_does_not(clutter):
     assert seen.mask[label == 1].mean() > 0.9
     assert seen.mask[label == 2].mean() < 0.1
     assert seen.behind[label == 2].mean() > 0.9
+
+
+@pytest.mark.parametrize(("aside", "bottom", "whole"), [(0.0, 0.08, True), (0.1, 0.08, False), (0.0, 0.2, False)])
+def test_what_the_border_cuts_is_part_of_the_foot_that_it_is_all_over(aside, bottom, whole):
+    """A chair's seat was background, for the border cuts its back, and its foot an object; an arm reaches beyond."""
+    seen, label = told_apart([(0.0, 0.0, 0.0, (0.16, 0.14, 0.03)), (aside, 0.0, bottom, (0.14, 0.1, 0.6))])
+    foot, seat = label == 1, label == 2
+    there, masks = with_borne(seen._replace(behind=seat), [foot])
+    assert (there.behind.any(), len(masks)) == (not whole, 1)
+    assert (masks[0] == (foot | seat if whole else foot)).all()
 
 
 def test_what_seems_to_hang_over_a_carton_may_stand_on_it():
