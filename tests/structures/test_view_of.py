@@ -14,10 +14,19 @@ from derender.detection.solids.state import FLOOR, State
 from derender.render.blur import blur
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX
+from derender.structures.alternatives import unclimbed
 from derender.structures.draws import refined
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.metropolis import engine_of, load
-from derender.structures.draws.refined import BEFORE, View, floor_pose_of, refine, view_of, with_out_of_reach
+from derender.structures.draws.refined import (
+    BEFORE,
+    View,
+    floor_pose_of,
+    refine,
+    view_of,
+    with_out_of_reach,
+    without_unseen,
+)
 from derender.structures.draws.sensor import first_sensor, floor_depth, model_depth, shown
 
 CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
@@ -100,6 +109,16 @@ def test_a_floor_on_which_nothing_stands_stays_where_it_was_found():
     observed = floor_depth(POSE, camera) + dents - 0.025 * rises
     found = refine(rng, [View(camera, observed, shared=True)], POSE, State(), Settings().rules)
     assert np.allclose(floor_pose_of(found), POSE)
+
+
+@pytest.mark.parametrize(("height", "correlation", "count"), [(0.006, 0.8, 0), (0.03, 0.8, 1), (0.006, 0.0, 1)])
+def test_what_is_no_higher_than_a_real_floor_is_uneven_is_no_solid(height, correlation, count):
+    """The edge of a board on a carpet was a box of 33 x 19 x 0.6 cm on a floor between the two, at P .79."""
+    camera, rules = Camera(**CAMERA), Settings().for_correlation(correlation).rules
+    state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.5 * height], [0.3, 0.2, height]), UPRIGHT, False, FLOOR, 0.0)
+    chart, values = make_chart(state, POSE, rules)
+    sensor = first_sensor(camera, model_depth(chart, values, camera), chart, values)
+    assert len(without_unseen(state, unclimbed(state, POSE, sensor, rules))) == count
 
 
 def test_a_box_ends_where_a_sensor_saw_nothing_although_it_would():

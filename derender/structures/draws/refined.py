@@ -15,6 +15,7 @@ from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED, of_whole_image
 from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
 from derender.detection.solids.graph import names_of, scene_graph
+from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
@@ -51,6 +52,7 @@ MOST_BACKGROUND = 0.1
 # By how many standard deviations of its noise a background, as it was seen, may be nearer; metres before the camera.
 BEFORE, LEAST_DEPTH = 3.0, 0.01
 REACHED, BESIDE = 0.99, 6  # share of the pixels whose depth is within a sensor's reach; pixels beside what returned
+UNEVEN = 3.0  # standard deviations of where a real face is, by which a floor is at least uneven
 WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any; degrees of freedom of t
 
 
@@ -183,13 +185,14 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
 
 
 def without_unseen(state: State, refined: Refined) -> State:
-    """Return the state less the solids of which no used pixel sees anything and that carry nothing.
+    """Return the state less the solids that carry nothing and of which no used pixel sees anything, or that are no
+    higher than a real floor is uneven.
 
     The search explains far pixels too, which the sensor model leaves out; nothing would hold such solids in place.
     """
-    pixels = pixels_of(refined)
+    pixels, uneven = pixels_of(refined), UNEVEN * refined.chart.faces
     for k in reversed(range(len(state))):
-        if not pixels[k] and k not in state.parents:
+        if (not pixels[k] or highest(refined.state.rows[k]) < uneven) and k not in state.parents:
             state = state.without(k)
     return state
 
