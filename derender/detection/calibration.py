@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from derender.detection.floor import back_project
+from derender.detection.floor import back_project, rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
 from derender.detection.solids.beliefs import any_sensor, log_prior_of
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 NOISE = Correlated()
 LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
 LEAST_PIXELS = 2000  # on the table, in each frame: fewer tell nothing of what neighbours share
+MOST_PIXELS = 15_000  # of all frames from which the numbers are sought: 640 columns take seconds, not a minute
 ROUNDS, AGAIN = 400, 8  # of the simplex, at most, and how often it is begun
 GAINED = 1.0  # nats that it has to gain to be begun again
 BETWEEN = 3  # pixels: gaps and bridges among those on the table that are less than twice as wide are closed, or cut
@@ -47,6 +48,9 @@ class Fit(NamedTuple):
 def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return (residual (H, W) metres, NaN off the table; the table's depth (H, W)) of a frame of a bare table.
 
+    Depths that were rounded lie anywhere within a step, as probably here as there (dithered: Schuchman, IEEE
+    Transactions on Communication Technology, 1964): of such as repeat themselves no step is too small to be likely.
+
     name : of the frame, for messages.
     """
     floor = find_floor(depth, camera)
@@ -61,7 +65,8 @@ def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np
     if np.nanstd(residual) < LEAST_NOISE:
         what = f"the table shows no noise ({1e6 * np.nanstd(residual):.2g} micrometres)"
         raise DerenderError(what, name, "give frames of a real sensor, as it writes them")
-    return residual, np.where(np.isfinite(plane), plane, 0.0)
+    within = rounding_of(depth) * (np.random.default_rng(0).random(depth.shape) - 0.5)  # one frame has one residual
+    return residual + within, np.where(np.isfinite(plane), plane, 0.0)
 
 
 def whole_patches(inliers: np.ndarray) -> np.ndarray:
@@ -85,12 +90,13 @@ def fit_sensor(
     """
     depths = np.concatenate([depth.ravel() for _, depth in pairs])
     sigma, growth = noise_of(np.concatenate([residual.ravel() for residual, _ in pairs]), depths)
+    some = [middle_columns(*pair, MOST_PIXELS / len(pairs)) for pair in pairs]
     steps = [innovations(depth + residual, NOISE.complete(BEGIN)).ravel() for residual, depth in pairs]
     step, step_growth = noise_of(np.concatenate(steps), depths)
     begin = {**BEGIN, "step": step, "step_growth": step_growth}
     values = {"sigma": sigma, "sigma_growth": growth, **begin, "outlier": BEFORE}
     sought, believed = tuple(values), partial(log_prior_of, any_sensor())
-    tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", values) for residual, depth in pairs]
+    tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", values) for residual, depth in some]
     gained, height, again = np.inf, -np.inf, 0
     while gained > GAINED and again < AGAIN:
         values = likeliest(tables, values, sought, ROUNDS, believed)
@@ -103,6 +109,14 @@ def fit_sensor(
                (correlation([residual for residual, _ in pairs], 0, 1),
                 max((correlation(white, *neighbour) for neighbour in NEIGHBOURS), key=abs)),
                float(np.quantile(every, 0.99)) / NORMAL_99)  # fmt: skip
+
+
+def middle_columns(residual: np.ndarray, depth: np.ndarray, pixels: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a residual (H, W), NaN off the table, and the table's depth are in columns that show so many pixels
+    of it: a table reaches from near to far along them."""
+    seen = np.cumsum(np.isfinite(residual).sum(axis=0))
+    middle = np.abs(seen - 0.5 * seen[-1]) <= 0.5 * pixels
+    return residual[:, middle], depth[:, middle]
 
 
 def likeliest(

@@ -262,6 +262,18 @@ def test_a_sensor_s_own_frames_tell_its_numbers(tmp_path):
     assert found["white"] == pytest.approx(0.2, abs=0.02) and found["tail"] == pytest.approx(0.1, abs=0.05)
 
 
+def test_of_a_table_whose_depths_were_rounded_the_noise_is_told_and_not_how_often_they_repeat():
+    """Of steps of a millimetre neighbours are mostly the same: without a dither none is small enough to be likely."""
+    camera, rng = Camera(150.0, 150.0, 79.5, 59.5, 160, 120), np.random.default_rng(7)
+    normal = np.array([0.0, -np.sqrt(0.5), -np.sqrt(0.5)])
+    table = 0.7 * normal[2] / (camera.rays() @ normal)
+    field = gaussian_filter(rng.standard_normal(table.shape), 3.0)
+    depth = np.round(table + 0.0005 * field / field.std(), 3)
+    fit = fit_sensor([residuals(depth, camera.to_dict(), "table")])
+    assert fit.values["step"] + fit.values["step_growth"] * 0.7**2 > 0.001 / np.sqrt(12.0)  # what rounding alone does
+    assert abs(fit.correlation[1]) < 0.15
+
+
 @pytest.mark.parametrize("path", SENSORS, ids=lambda path: path.stem)
 def test_each_sensor_draws_tables_and_calibrate_reads_them(path, tmp_path):
     runner = CliRunner()
