@@ -27,7 +27,7 @@ GAINED = 1.0  # nats that it has to gain to be begun again
 BETWEEN = 3  # pixels: gaps and bridges among those on the table that are less than twice as wide are closed, or cut
 ACCURATE = 0.05  # nats, and a part of each number, to which it goes on
 BEGIN = {"white": 0.05, "reach": 4.0, "reach_down": 2.0, "tail": 0.1}  # where the simplex begins, and a step
-SHARES = ("white", "tail", "outlier")
+SHARES = ("white", "tail", "outlier", "shared", "alone")
 BEFORE = 1e-3  # share of outliers where the simplex begins
 # Of a number whose logarithm is taken, where it begins; less growth makes no difference, and a search stays there.
 LEAST, LEAST_GROWTH = 1e-5, 3e-4
@@ -81,12 +81,14 @@ def whole_patches(inliers: np.ndarray) -> np.ndarray:
 
 
 def fit_sensor(
-    pairs: list[tuple[np.ndarray, np.ndarray]], progress: Callable[[float], None] = lambda done: None
+    pairs: list[tuple[np.ndarray, np.ndarray]],
+    progress: Callable[[float], None] = lambda done: None,
+    also: tuple[str, ...] = (),
 ) -> Fit:
     """Return the Fit of (residual, depth) pairs of frames by one sensor: its most probable numbers under what is
     believed of any sensor. Noise alone is not how residuals scatter: pixels that go on drift away from the surface.
 
-    progress : called with the fraction done, at the least.
+    progress : called with the fraction done, at the least. also : names of further numbers that are sought.
     """
     depths = np.concatenate([depth.ravel() for _, depth in pairs])
     sigma, growth = noise_of(np.concatenate([residual.ravel() for residual, _ in pairs]), depths)
@@ -95,7 +97,8 @@ def fit_sensor(
     step, step_growth = noise_of(np.concatenate(steps), depths)
     begin = {**BEGIN, "step": step, "step_growth": step_growth}
     values = {"sigma": sigma, "sigma_growth": growth, **begin, "outlier": BEFORE}
-    sought, believed = tuple(values), partial(log_prior_of, any_sensor())
+    sought, believed = (*values, *also), partial(log_prior_of, any_sensor())
+    values = NOISE.complete(values)
     tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", values) for residual, depth in some]
     gained, height, again = np.inf, -np.inf, 0
     while gained > GAINED and again < AGAIN:
@@ -105,7 +108,7 @@ def fit_sensor(
         progress(again / AGAIN)
     white = [NOISE.whitened(depth + residual, depth, values) for residual, depth in pairs]
     every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
-    return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin)}, int(every.size),
+    return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin, *also)}, int(every.size),
                (correlation([residual for residual, _ in pairs], 0, 1),
                 max((correlation(white, *neighbour) for neighbour in NEIGHBOURS), key=abs)),
                float(np.quantile(every, 0.99)) / NORMAL_99)  # fmt: skip

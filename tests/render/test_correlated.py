@@ -20,7 +20,7 @@ from derender.scene.codec.yaml_tree import parse_yaml
 NOISE = likelihoods["correlated"]
 VALUES = NOISE.complete({"sigma": 0.01, "sigma_growth": 0.004, "step": 0.004, "step_growth": 0.001,
                          "white": 0.1, "reach": 3.0, "reach_down": 2.0,
-                         "shared": 0.8, "clump": 0.5, "outlier": 0.1, "tail": 0.2})  # fmt: skip
+                         "shared": 0.8, "clump": 0.5, "outlier": 0.1, "tail": 0.2, "alone": 0.15})  # fmt: skip
 SENSORS = sorted(data_path("sensors").glob("*.yaml"))
 STEP = np.where(np.arange(7) < 4, 0.8, 1.2)[None].repeat(5, axis=0)  # two surfaces, (5, 7)
 
@@ -68,9 +68,9 @@ def written_down(observed, depth, values):
             left[r, c] = np.clip(z, -6.0, 6.0)
             trust, mean = 5.0 / (4.0 + (z - shares @ over) ** 2), mean + off * (shares @ over)
             told, tells = told + trust * np.outer(over, over), tells + trust * left[r, c] * over
-            density = 0.9 * ((1.0 - values["tail"]) * stats.norm.pdf(observed[r, c], mean, off)
+            density = (1.0 - values["alone"]) * ((1.0 - values["tail"]) * stats.norm.pdf(observed[r, c], mean, off)
                              + values["tail"] * stats.norm.pdf(observed[r, c], mean, 4.0 * off))  # fmt: skip
-            density += 0.1 * np.mean([stats.t.pdf(observed[r, c], 3, observed[at], 4.0 * step(observed[at]))
+            density += values["alone"] * np.mean([stats.t.pdf(observed[r, c], 3, observed[at], 4.0 * step(observed[at]))
                                       for at in places[:4] if at in there])  # fmt: skip
         total += np.log((1.0 - goes_on) * anew((r, c))[1] + goes_on * density)
     return total
@@ -136,7 +136,7 @@ def test_draws_are_of_the_density():
 
     fits, shared = failures(VALUES)
     assert fits > 1e-3 and shared < 4.0 / np.sqrt(depth.size)
-    for wrong in ({"white": 0.9}, {"sigma": 0.02}, {"step": 0.0025}, {"tail": 0.0}, {"outlier": 0.02},
+    for wrong in ({"white": 0.9}, {"sigma": 0.02}, {"step": 0.0025}, {"tail": 0.0}, {"alone": 0.5}, {"outlier": 0.02},
                   {"shared": 0.6}, {"clump": 0.2}):  # fmt: skip
         fits, shared = failures({**VALUES, **wrong})
         assert fits < 1e-3 or shared > 4.0 / np.sqrt(depth.size), wrong  # the broken twins

@@ -40,7 +40,6 @@ WIDER = 4  # times as wide as the others are the heavy tails' innovations, about
 FIRM = 100.0  # pixels that have to tell of an innovation's weight as much as is believed before: that it is none
 SWEEPS = 3  # of Gauss and Seidel, in each row: the weights change little from one to the next
 SPIKE, FREEDOM = 6.0, 4.0  # standard deviations at which an innovation tells no more; by Student's t less before
-ALONE = 0.1  # share of the pixels that go on which go on from one neighbour alone, over a step that was observed
 STUDENT = 2.0 / (math.pi * math.sqrt(3.0))  # height of Student's t of 3 degrees of freedom
 
 
@@ -66,8 +65,8 @@ class Correlated(Likelihood):
     constant, and off by more. What that leaves, in units of the step, is regressed on what it left at the same six:
     their weights are 0 beforehand, as firmly as 100 pixels would tell it, and each row forgets the share `fading` of
     what the rows above told of them. With 1 nothing is learnt. A share `tail` of these innovations is four times as
-    wide. A tenth go on from one of the nearest four alone, as along an edge, with Student's t of 3 degrees of freedom,
-    four times as wide too.
+    wide. The share `alone` goes on from one of the nearest four alone, as along an edge, with Student's t of 3 degrees
+    of freedom, four times as wide too.
 
     The product of all pixels' densities given earlier ones integrates to one for each set of pixels that return. One
     without a return is evidence of nothing. One that holds minus a depth shows what is no part of the scene: see
@@ -88,13 +87,14 @@ class Correlated(Likelihood):
         Parameter("reach_down", "", *REACH, 2.0),
         Parameter("fading", "", 0.0, 1.0, 0.1),
         Parameter("tail", "", 0.0, SHARE[1], 0.1),
+        Parameter("alone", "", 0.0, SHARE[1], 0.1),
         Parameter("outlier", "", *RATE, 0.02),
         Parameter("near", "m", 0.0, 1000.0, 0.1),
         Parameter("far", "m", 0.0, 1000.0, 10.0),
     )
     code = 2
     scored = ("sigma_growth", "outlier", "near", "far", "shared", "clump")
-    of_image = ("step", "step_growth", "white", "reach", "reach_down", "fading", "tail")
+    of_image = ("step", "step_growth", "white", "reach", "reach_down", "fading", "tail", "alone")
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""
@@ -108,7 +108,7 @@ class Correlated(Likelihood):
         shape : of the second, (H, W), or (0, 0) where it is not asked for.
         """
         depths = np.pad(np.abs(np.where(np.isfinite(observed), observed, 0.0)), 2)
-        numbers = np.array([values[name] for name in ("step", "step_growth", "tail", "fading")])
+        numbers = np.array([values[name] for name in ("step", "step_growth", "tail", "alone", "fading")])
         density, below = np.zeros(observed.shape), np.zeros(shape)
         go_on(depths, numbers, *prediction(values), density, below)
         return density, below
@@ -149,7 +149,7 @@ class Correlated(Likelihood):
     def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         names = ("sigma", "sigma_growth", "step", "step_growth", "shared", "clump", "outlier", "near", "far", "tail",
-                 "fading")  # fmt: skip
+                 "alone", "fading")  # fmt: skip
         result, numbers = np.zeros([side + 4 for side in depth.shape]), np.array([values[name] for name in names])
         draw(rng, result, blurred_depth(depth, values), numbers, *prediction(values))
         result = result[2:-2, 2:-2]
@@ -221,9 +221,9 @@ def go_on(depths, numbers, weights, deviations, density, below):
     """Write the density of pixels (H, W) that go on, and the probability that they are nearer, if that has a shape.
 
     depths : (H + 4, W + 4), two pixels wider than the image all round, 0 where none returned. numbers : step,
-    step_growth, tail, fading.
+    step_growth, tail, alone, fading.
     """
-    step, growth, tail, fading = numbers
+    step, growth, tail, alone, fading = numbers
     left, told, shares = np.zeros(depths.shape), FIRM * np.eye(6, 7), np.zeros(6)
     sharp = np.zeros(depths.shape)  # of each pixel, 1 / metres: how closely one that goes on from it alone does so
     for row in range(depths.shape[0]):
@@ -245,7 +245,7 @@ def go_on(depths, numbers, weights, deviations, density, below):
             z -= carry
             wide = math.exp(-0.5 * (z / WIDER) ** 2)
             narrow = wide ** (WIDER * WIDER)
-            total = (1.0 - ALONE) / math.sqrt(2.0 * math.pi) * ((1.0 - tail) * narrow + tail * wide / WIDER) * inverse
+            total = (1.0 - alone) / math.sqrt(2.0 * math.pi) * ((1.0 - tail) * narrow + tail * wide / WIDER) * inverse
             heavy, nearer, count = 0.0, 0.0, 0
             for k in range(4):
                 there, sharply = (
@@ -259,11 +259,11 @@ def go_on(depths, numbers, weights, deviations, density, below):
                     count += 1
                     if below.size:
                         nearer += 0.5 + (t * at + math.atan(t)) / math.pi
-            density[row, column] = total + ALONE * STUDENT * math.sqrt(3.0) * heavy / count
+            density[row, column] = total + alone * STUDENT * math.sqrt(3.0) * heavy / count
             if below.size:
                 narrow, wide = math.erf(z / math.sqrt(2.0)), math.erf(z / (WIDER * math.sqrt(2.0)))
-                nearer *= ALONE / count
-                below[row, column] = nearer + (1.0 - ALONE) * (0.5 + 0.5 * ((1.0 - tail) * narrow + tail * wide))
+                nearer *= alone / count
+                below[row, column] = nearer + (1.0 - alone) * (0.5 + 0.5 * ((1.0 - tail) * narrow + tail * wide))
 
 
 @njit(cache=True, nogil=True)
@@ -271,9 +271,9 @@ def draw(rng, result, model, numbers, weights, deviations):
     """Write depths into `result` (H + 4, W + 4), two pixels wider than the image all round, in order of reading.
 
     model : (H, W) metres. numbers : sigma, sigma_growth, step, step_growth, shared, clump, outlier, near, far, tail,
-    fading.
+    alone, fading.
     """
-    sigma, growth, step, step_growth, shared, clump, outlier, near, far, tail, fading = numbers
+    sigma, growth, step, step_growth, shared, clump, outlier, near, far, tail, alone, fading = numbers
     left, told, shares = np.zeros(result.shape), FIRM * np.eye(6, 7), np.zeros(6)
     shows = np.zeros(result.shape)  # how probably a pixel that returned shows its surface
     for row in range(2, result.shape[0] - 2):
@@ -288,7 +288,7 @@ def draw(rng, result, model, numbers, weights, deviations):
             carry = carried(left, row, column, shares)
             if not count or rng.random() >= clump + (shared - clump) * before / count:
                 drawn = rng.uniform(near, far) if rng.random() < outlier else m + spread * rng.standard_normal()
-            elif rng.random() >= ALONE:
+            elif rng.random() >= alone:
                 drawn = mean + off * (carry + rng.standard_normal() * (WIDER if rng.random() < tail else 1.0))
             else:
                 some = 0
