@@ -5,9 +5,9 @@
 
 Each film is made (sequences.py: MuJoCo at a quarter of a millisecond, with contacts of its own), written to a folder,
 and goes through what `derender infer FOLDER --track --dynamics` calls. A number counts as told where track.json has
-it; intervals are those of dynamics.npz for every number whose truth is known, told or not. Beside it stands a peer that
-is given the TRUE poses and velocities: MuJoCo's own least squares (mujoco.minimize, which its system identification
-calls) over rollouts of MuJoCo's own contacts.
+it; intervals are those of dynamics.npz for every number that the film was made with, told or not. Beside it stands,
+where a number is the subject of a film, a peer that is given the TRUE poses and velocities: MuJoCo's own least squares
+(mujoco.minimize, which its system identification calls) over rollouts of MuJoCo's own contacts.
 """
 
 import json
@@ -29,7 +29,6 @@ from derender.structures.options import Options  # noqa: E402
 from derender.tracking.materials import materials_to_folder  # noqa: E402
 from derender.tracking.run import track_to_folder  # noqa: E402
 
-FILMS = ("slide", "slope", "bounce", "collide", "push", "topple")
 GOALS = {
     "friction": "median 3 %, 90 % within 10 %", "restitution": "median .03, all within .1",
     "mass_ratio": "median 8 %, 90 % within 20 %",
@@ -145,10 +144,19 @@ def peer(truth):
 def film_row(kind, seed, sensor):
     """Return the figures of one film."""
     frames, camera, truth = make_sequence(np.random.default_rng([seed, KINDS.index(kind)]), kind, sensor)
-    row = {"kind": kind, "seed": seed, "truth": {name: float(v["mean"]) for name, v in truth["parameters"].items()}}
+    row = {"kind": kind, "seed": seed, "truth": numbers_of(truth["materials"])}
     if kind != "push":  # nobody tells the peer of the pusher
         row["peer"], row["peer_seconds"] = peer(truth) if truth["parameters"] else ({}, 0.0)
     return {**row, **infer_film(frames, camera, truth, seed)}
+
+
+def numbers_of(materials):
+    """Return {parameter: value} of what a film was made with; `mass_ratio` is that of box_2 to box_1."""
+    found = {name: materials[name] for name in ("friction", "restitution") if materials[name] is not None}
+    masses = materials["masses"]
+    if {"box_1", "box_2"} <= set(masses):
+        found["mass_ratio"] = masses["box_2"] / masses["box_1"]
+    return found
 
 
 def error_of(name, value, true):
@@ -160,7 +168,7 @@ def evaluate_dynamics(count, first, sensor, kinds, keep, verbose):
     """Make films, infer what moves how, print the table; `keep` : folder of results that are not done again, or ''."""
     folder = make_folder(keep) if keep else None
     rows = []
-    for kind in kinds or FILMS:
+    for kind in kinds or KINDS:
         for seed in range(first, first + count):
             path = folder and folder / f"{kind}_{seed:03d}.json"
             if path and path.exists():

@@ -4,10 +4,10 @@
     python scripts/sequences.py DIR bounce topple -n 5    five of each of two kinds
 
 A folder holds frame_000.npy ... (float32 metres, NaN where nothing returned), camera.json (with `fps` and `gravity`,
-m/s^2 in camera axes) and truth.json: in the form of track.json, and beside its keys `kind`, `fps`, `gravity`, `floor`
-(4x4, to camera), `speeds` of each object at the first frame (linear, angular, in camera axes) and `pixels` of it in
-each frame. Physics is MuJoCo's at steps of a quarter of a millisecond; `restitution` is that of the first impact as it
-was.
+m/s^2 in camera axes) and truth.json: in the form of track.json, and beside its keys `kind`, `fps`, `gravity`,
+`materials` (friction, restitution where a bounce is the film's subject, kg of each object), `floor` (4x4, to camera),
+`speeds` of each object at the first frame (linear, angular, in camera axes) and `pixels` of it in each frame. Physics
+is MuJoCo's at steps of a quarter of a millisecond; `restitution` is that of the first impact as it was.
 """
 
 import argparse
@@ -54,6 +54,7 @@ class Film:
         import mujoco
 
         self.mujoco, self.items, self.hand, self.pusher = mujoco, items, hand, pusher
+        self.friction = friction
         self.down = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
         bodies, pairs = "", ""
         for k, item in enumerate(items):
@@ -351,9 +352,11 @@ def make_sequence(rng, kind, sensor="kinect", motion=0.0):
         for v, p in zip(velocities[0], poses[0], strict=True)
     ]
     told = {key: value if isinstance(value, dict) else {"mean": value} for key, value in parameters.items()}
+    masses = {name: float(mass) for name, mass in zip(names, film.model.body_mass[1:], strict=False)}
+    materials = {"friction": film.friction, "restitution": parameters.get("restitution"), "masses": masses}
     gravity = (GRAVITY * turn @ film.down).tolist()
     truth = {
-        "objects": objects, "parameters": told, "kind": kind, "fps": fps, "gravity": gravity,
+        "objects": objects, "parameters": told, "materials": materials, "kind": kind, "fps": fps, "gravity": gravity,
         "floor": view.tolist(), "views": [w.tolist() for w in views], "speeds": starts, "pixels": pixels.tolist(),
     }  # fmt: skip
     return frames, {**camera, "fps": fps, "gravity": gravity}, truth
