@@ -89,11 +89,10 @@ def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Do
         hessian = jacobian.T @ jacobian + np.diag(roots**2)
         gradient = jacobian.T @ residual + roots * own
         before = 0.5 * float(residual @ residual + own @ own)
-        improved, bounces = 0.0, shooting.bounces(path)
+        improved, untold = 0.0, np.flatnonzero(~shooting.tells(path))
         while damping < MOST_DAMPING:
             change = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-            if not bounces:  # the prior alone would move it, and the film with it
-                change[shooting.size + 1 : shooting.size + ALWAYS] = 0.0
+            change[shooting.size + untold] = 0.0  # the prior alone would move it, and the film with it
             trial = shooting.stepped(path, change)
             found, prior = shooting.residuals(trial, errors), shooting.prior_rows(trial)[0]
             improved = before - 0.5 * float(found @ found + prior @ prior)
@@ -220,19 +219,19 @@ def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarra
     """
     parameters, size = shooting.parameters, shooting.size
     follow = mode.covariance[:size, size:] @ np.linalg.inv(mode.covariance[size:, size:])
-    untold = None if shooting.bounces(mode.path) else parameters.material(mode.path.coordinates)
+    tells = shooting.tells(mode.path)
 
     def density(coordinates: np.ndarray, logarithms: np.ndarray) -> float:
         prior = parameters.log_prior(coordinates) + parameters.prior.log_density_of_scales(logarithms)
         outside = parameters.inside(coordinates) != coordinates
         if not np.isfinite(prior) or np.delete(outside, 1).any():
             return -np.inf
-        off = coordinates - mode.path.coordinates
+        off = np.where(tells, coordinates - mode.path.coordinates, 0.0)
         try:
-            path = shooting.stepped(mode.path, np.concatenate([follow @ off, off]), untold)
+            path = shooting.stepped(mode.path, np.concatenate([follow @ off, off]))
         except Diverged:
             return -np.inf
-        about = mode.path._replace(coordinates=coordinates)
+        about = mode.path._replace(coordinates=mode.path.coordinates + off)
         errors = shooting.errors(about, Scales(*np.exp(logarithms)), mode.doubts)
         return log_marginal(shooting, path, (mode.by_pose, mode.by_defect), errors, True)[0] + prior
 
@@ -325,6 +324,11 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
     found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
-    if not shooting.bounces(modes[0].path):  # the density does not depend on how things bounce: the prior remains
-        found.coordinates[:, 1:ALWAYS] = [parameters.sample_prior(rng)[1:ALWAYS] for _ in found.coordinates]
+    untold = np.flatnonzero(~shooting.tells(modes[0].path))  # the density does not depend on these: the prior remains
+    away = np.array([parameters.sample_prior(rng) for _ in found.coordinates])[:, untold] - found.coordinates[:, untold]
+    found.coordinates[:, untold] += away
+    for number, shift in zip(untold, away.T, strict=True):  # of masses that are told to that of such a one
+        if number >= ALWAYS:
+            with_it = ALWAYS - 1 + np.flatnonzero(shooting.partner == number - ALWAYS + 1)[1:]
+            found.coordinates[:, with_it] += shift[:, None]
     return Identified(parameters, modes, found)

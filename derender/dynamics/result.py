@@ -163,7 +163,7 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     """
     engine, seen = (Engine(motion.matter, motion.names, motion.step) for _ in range(2))
     shooting, mode = Shooting(motion, found.parameters, seen), found.modes[0]
-    size, whole = shooting.size, mode.covariance
+    size, whole, tells = shooting.size, mode.covariance, shooting.tells(mode.path)
     gain = whole[:size, size:] @ np.linalg.inv(whole[size:, size:])
     given = whole[:size, :size] - gain @ whole[size:, :size]
     lower = np.linalg.cholesky(given + 1e-12 * np.eye(size))
@@ -171,11 +171,12 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     pairs = zip(*found.draws.resampled(rng, -(-count // 2)), rng.integers(2**63, size=-(-count // 2)), strict=True)
     for (coordinates, logarithms, seed), sign in product(pairs, (1.0, -1.0)):
         normal = partial(_signed_normal, np.random.default_rng(seed), sign)
-        off = coordinates - mode.path.coordinates
+        off = np.where(tells, coordinates - mode.path.coordinates, 0.0)
         change = np.concatenate([gain @ off + lower @ normal(size), off])
         try:
             path = shooting.stepped(mode.path, change)
-            material, scales = found.parameters.material(path.coordinates), Scales(*np.exp(logarithms))
+            material = found.parameters.material(found.parameters.inside(coordinates))
+            scales = Scales(*np.exp(logarithms))
             draws.append(come_to_rest(engine, shooting.sizes, path.states[-1], material, most, scales, normal))
         except Diverged:
             continue

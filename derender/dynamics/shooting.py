@@ -136,14 +136,9 @@ class Shooting(Impacts):
                 offsets[k] = -raised * up
         return self.rolled(Path(states, states, offsets, np.asarray(coordinates, float)))
 
-    def rolled(self, path: Path, first: int = 0, untold: Material | None = None) -> Path:
-        """Return the path that the engine runs from the states at the cuts, anew from frame `first`.
-
-        untold : a material whose restitution and contact time are taken instead of the path's.
-        """
+    def rolled(self, path: Path, first: int = 0) -> Path:
+        """Return the path that the engine runs from the states at the cuts, anew from frame `first`."""
         material = self.parameters.material(path.coordinates)
-        if untold is not None:
-            material = material._replace(restitution=untold.restitution, contact_time=untold.contact_time)
         if not self.struck:  # restitution and masses would only change how contacts with the floor rattle
             material = Material(material.friction, SLIDING_RESTITUTION, self.engine.masses)
         self.engine.tell(material)
@@ -175,11 +170,17 @@ class Shooting(Impacts):
         friction = self.parameters.material(path.coordinates).friction
         return self.engine.impulses(path.states[:-1], path.arrived[1:], friction)
 
-    def bounces(self, path: Path) -> bool:
-        """Return whether an impact along a path tells restitution: one that is fast, or that tracking shows of two."""
-        if self.count > 1 and len(self.cuts) > self.count:
-            return not self.apart
-        return self.struck and bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
+    def tells(self, path: Path) -> np.ndarray:
+        """Return (P,) bool, which of the material's coordinates a film may tell. The others are held where they are:
+        they would only change how contacts rattle, and of them the prior remains.
+
+        Restitution and contact time are told by an impact that is fast, or one of two bodies that came from apart;
+        the ratio of a body's mass to that of an earlier one by momentum that both exchanged.
+        """
+        met = self.partner < np.arange(self.count)
+        hit = self.struck and bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
+        bounces = not self.apart and (hit or bool(met.any()))
+        return np.array([True, bounces, bounces, *met[1:]])
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""
@@ -253,10 +254,7 @@ class Shooting(Impacts):
         for k in range(self.count):
             for axis in range(3):
                 by_pose[:, k, axis, self.parts[-1].stop + 3 * k + axis] = -1.0 * self.seen[:, k]
-        bounces = self.bounces(path)
-        for number in range(self.parameters.size):
-            if number in (1, 2) and not bounces:
-                continue
+        for number in np.flatnonzero(self.tells(path)).tolist():
             step = np.zeros(self.parameters.size)
             step[number] = COORDINATE_STEP
             ways = [self.rolled(path._replace(coordinates=path.coordinates + way)) for way in (-step, step)]
@@ -379,14 +377,14 @@ class Shooting(Impacts):
         """Return all residuals of a path in standard errors, without those of priors."""
         return self.whitened(errors, self.tracking_residuals(path)[..., None], self.defects(path)[..., None])[:, 0]
 
-    def stepped(self, path: Path, change: np.ndarray, untold: Material | None = None) -> Path:
-        """Return the path after a change (Z,) of all unknowns; untold : as of `rolled`."""
+    def stepped(self, path: Path, change: np.ndarray) -> Path:
+        """Return the path after a change (Z,) of all unknowns."""
         states = path.states.copy()
         for (frame, k), part, ways in zip(self.cuts, self.parts, self.ways, strict=True):
             states[frame, k] = moved(states[frame, k], ways @ change[part])
         offsets = path.offsets + change[self.parts[-1].stop : self.size].reshape(-1, 3)
         coordinates = self.parameters.inside(path.coordinates + change[self.size :])
-        return self.rolled(Path(states, path.arrived, offsets, coordinates), untold=untold)
+        return self.rolled(Path(states, path.arrived, offsets, coordinates))
 
     def doubts(
         self, path: Path, errors: Errors, scales: Scales, by_defect: np.ndarray, covariance: np.ndarray, less: Any
