@@ -122,11 +122,12 @@ class Intervention(NamedTuple):
 
 def read_push(text: str) -> Push:
     """Read NAME:DIRECTION:FORCE@TIME, such as red:+x:0.5N@0.1s."""
-    parts = text.split(":")
-    if len(parts) != 3 or "@" not in parts[2]:
-        raise DerenderError("not a push", f"--push {text}", "write NAME:+x:0.5N@0.1s")
-    force, time = parts[2].split("@", 1)
-    where = f"--push {text}"
+    parts, where = text.split(":"), f"--push {text}"
+    if len(parts) != 3:
+        raise DerenderError("not a push, which has three parts", where, "write NAME:+x:0.5N@0.1s")
+    force, _, time = parts[2].partition("@")
+    if not time:
+        raise DerenderError("nothing says how long it is pushed", where, f"write {':'.join(parts[:2])}:{force}@0.1s")
     newtons = _quantity(force, "N", where) * _direction(parts[1], where)
     return Push(parts[0], newtons, 0.0, _quantity(time, "s", where, True))
 
@@ -202,7 +203,7 @@ MOST = 1e6  # metres, radians, newtons, seconds or hertz: what is beyond can be 
 def _quantity(text: str, unit: str, where: str, positive: bool = False, signed: bool = False) -> float:
     """Read a number in a base unit or one of its kind (`UNITS`); positive : not 0, signed : below 0 too."""
     with at_fault(where):
-        value = parse_number(text, unit)
+        value = parse_number(text, unit, strict=False)
     if (value < 0 and not signed) or (positive and value == 0):
         raise DerenderError(f"{text!r} is not {'positive' if positive else '0 or more'}", where, "such as 5 or 0.5")
     if abs(value) > MOST:

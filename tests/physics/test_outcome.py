@@ -125,6 +125,9 @@ def test_interventions_are_read_and_faults_are_one_line(graph):
     assert read_add("new:cylinder:6x12cm@red:2cm,0")[2].tolist() == [0.06, 0.06, 0.12]
     assert read_add("new:cube:6cm@red:-2cm,-1cm")[4] == (-0.02, -0.01)  # places and directions have both signs
     assert read_push("red:-90deg:1N@1s").force == pytest.approx([0, -1, 0])
+    assert read_push("red:+x:1e2N@1e-1s").force == pytest.approx([100, 0, 0])  # a YAML reader's strictness is for files
+    with pytest.raises(DerenderError, match="how long it is pushed.*write red:[+]x:5N@0.1s"):
+        read_push("red:+x:5N")
     for texts in ({"push": ["red:+x"]}, {"push": ["red:+q:1N@1s"]}, {"tilt": "100deg"}, {"shake": "2Hz"},
                   {"jitter": "2kg"}, {"add": ["a:cone:1cm@red"]}, {"push": ["red:+x:nanN@1s"]},
                   {"push": ["red:+x:-1N@1s"]}, {"jitter": "1e308"}, {"jitter": "2,1deg"},

@@ -252,10 +252,12 @@ _LOOSE = re.compile(r"([-+]?)([0-9]*)(\.?)([0-9]*)(?:[eE]([-+]?)([0-9]+))?")
 _WITH_UNIT = re.compile(r"(.*?)\s*([A-Za-z%°]+)")
 
 
-def parse_number(text: str, unit: str = "") -> float:
+def parse_number(text: str, unit: str = "", strict: bool = True) -> float:
     """Return the number that `text` says, in the base unit `unit` ("m", "rad", "kg", ... of UNITS, or "" for none).
 
-    Raises DerenderError : if it is no finite number in strict notation, or its unit does not fit.
+    strict : whether every YAML reader must read the same; else 1e6 and 05 are numbers too, as on a command line.
+
+    Raises DerenderError : if it is no finite number in such notation, or its unit does not fit.
     """
     factor = 1.0
     digits = text.strip()
@@ -268,7 +270,8 @@ def parse_number(text: str, unit: str = "") -> float:
                 good = " or ".join(known) if known else "a number without a unit"
                 raise DerenderError(f"{shown(text)} has a unit that does not fit here", remedy=f"write {good}")
             factor = known[named]
-    if not _DECIMAL.fullmatch(digits):
+    loose = not strict and _LOOSE.fullmatch(digits) and re.match(r"[-+]?\.?[0-9]", digits)
+    if not loose and not _DECIMAL.fullmatch(digits):
         raise _fault(digits, text)
     value = float(digits) * factor
     if not math.isfinite(value):
