@@ -94,7 +94,8 @@ class Answer:
             mean, low, high = self.interval(name)
             words = name.split(".")
             title = name if len(words) == 1 else f"mass of {words[1]} / {words[2]}"
-            told = f"{mean:.3f} ({low:.3f}-{high:.3f})" if name in self.told else "the motion does not tell"
+            unit = " s" if name == "contact_time" else ""
+            told = f"{mean:.3f} ({low:.3f}-{high:.3f}){unit}" if name in self.told else "the motion does not tell"
             lines.append(f"{title:<14} {told}")
         for name in self.parameters.names:
             velocity = self.draws[f"velocity.{name}"]

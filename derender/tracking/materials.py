@@ -148,17 +148,19 @@ def materials_to_folder(
 def rests_ahead(found: Identified, motion: Motion, rng: np.random.Generator) -> dict[str, dict[str, list]]:
     """Return where what still moves comes to rest: {name: its centre's `mean` (3,) and 90 % `interval` (3, 2)}.
 
-    Metres in the axes of the first camera; {} where all rests.
+    Metres in the axes of the first camera; {} where all rests. What rolls on or falls at the films' end is left out.
     """
     last = found.modes[0].path.states[-1]
     fast = np.flatnonzero(np.linalg.norm(last[:, 7:10], axis=1) > RESTS)
     if not len(fast):
         return {}
     ends = predict(found, motion, rng, FILMS_AHEAD, round(SECONDS_AHEAD / motion.step))
+    rest = np.mean(np.linalg.norm(ends[..., 7:10], axis=-1) < RESTS, axis=0)
     return {
         motion.names[k]: {
             "mean": ends[:, k, :3].mean(axis=0).tolist(),
             "interval": np.quantile(ends[:, k, :3], [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0).T.tolist(),
         }
         for k in fast
+        if rest[k] >= LEVEL
     }

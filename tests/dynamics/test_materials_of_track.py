@@ -2,13 +2,17 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from derender.dynamics.parameters import Parameters, read_dynamics_prior
+from derender.dynamics.result import Answer
 from derender.errors import DerenderError
 from derender.scene.pose import from_rotation_vector, inverse
-from derender.tracking.materials import materials_to_folder, motion_of_track
+from derender.tracking import materials
+from derender.tracking.materials import materials_to_folder, motion_of_track, rests_ahead
 from derender.tracking.track import Track
 
 FRAMES, STEP = 14, 1 / 30
@@ -45,6 +49,25 @@ def test_poses_are_told_in_the_first_cameras_axes_and_errors_in_the_bodys():
     np.testing.assert_allclose(moved.poses, still.poses, atol=1e-12)
     turn = inverse(view)[:3, :3]
     np.testing.assert_allclose(moved.covariances[0, 0, :3, :3], turn @ still.covariances[0, 0, :3, :3] @ turn.T)
+
+
+def test_what_a_bounce_takes_is_said_in_seconds():
+    answer = Answer.__new__(Answer)
+    answer.parameters, answer.told = Parameters(("box",), np.ones(1), read_dynamics_prior()), ["contact_time"]
+    answer.draws = {name: np.full(9, 0.004) for name in answer.parameters.labels}
+    answer.draws["velocity.box"] = np.zeros((9, 3))
+    assert "contact_time   0.004 (0.004-0.004) s" in answer.lines()
+
+
+@pytest.mark.parametrize("resting, said", [(1.0, {"box_1"}), (0.5, set())])
+def test_what_does_not_come_to_rest_is_not_said_to(monkeypatch, resting, said):
+    """What fell or rolled on was said to come to rest where it was after two seconds."""
+    ends = np.zeros((60, 1, 13))
+    ends[round(60 * resting) :, 0, 7] = 1.0
+    monkeypatch.setattr(materials, "predict", lambda *_: ends)
+    moving = SimpleNamespace(states=np.full((1, 1, 13), 0.5))
+    found = SimpleNamespace(modes=[SimpleNamespace(path=moving)])
+    assert set(rests_ahead(found, motion_of_track(track(sliding())), np.random.default_rng(0))) == said
 
 
 @pytest.mark.slow
