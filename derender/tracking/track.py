@@ -86,13 +86,16 @@ class Recorder:
         moving_camera: bool = False,
         infer: Any = None,
     ) -> None:
+        self.notes: list[str] = []
         self.gravity = UP * start.down if gravity is None else np.asarray(gravity, float)
+        if start.floor is not None and self.gravity @ start.floor[:3, 2] > 0:
+            self.gravity = -self.gravity
+            self.notes.append("gravity as given points up from the floor, as an accelerometer reads: taking it down")
         self.tracker = Tracker(camera, start, depth, self.gravity, step, moving_camera)
         self.seen: list[Seen] = [self.tracker.report([])]
         self.sizes = [np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3)]
         self.infer, self.looks, self.waiting = infer, 0, 0
         self.cut: int | None = None
-        self.notes: list[str] = []
 
     def advance(self, depth: np.ndarray) -> bool:
         """Take the next frame; False where it shows another scene: nothing is followed into it."""

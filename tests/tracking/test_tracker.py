@@ -23,6 +23,15 @@ def follow(frames, beginning, moving_camera=False, infer=None, step=1 / FPS):
     return recorder
 
 
+def test_gravity_that_points_up_from_the_floor_is_an_accelerometers_and_taken_down():
+    """Things fell upward in silence: one on the floor was to come to rest 24 m above it."""
+    frames, poses = film(np.random.default_rng(0), ["box"], [BOX_A], [[at(0, 0, 0.035)]])
+    beginning = start(["box"], [BOX_A], poses[0])
+    for sign, notes in ((1, 0), (-1, 1)):
+        recorder = Recorder(frames[0], CAMERA, beginning.copy(), sign * GRAVITY, 1 / FPS)
+        assert np.allclose(recorder.gravity, GRAVITY) and len(recorder.notes) == notes
+
+
 def test_pixels_beside_a_step_are_unsure_though_the_sensor_lost_those_between():
     """Drawn as the mean of both sides they were wrong by tens of their deviations, and held boxes in false places."""
     depth, spread = np.tile(np.where(np.arange(12) < 6, 0.7, 0.8), (12, 1)), np.empty((12, 12))
