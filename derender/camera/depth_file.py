@@ -75,6 +75,7 @@ def read_depth(
     camera: Camera | Mapping[str, Any] | np.ndarray | str | Path | None = None,
     depth_scale: float | None = None,
     topic: str | None = None,
+    may_be_empty: bool = False,
 ) -> DepthImage:
     """Read a depth image of any known format, recognised by its first bytes, and its camera; or take an array for one.
 
@@ -84,7 +85,8 @@ def read_depth(
         of intrinsics; default: the camera in the file, else NAME_camera.json or camera.json beside it, else a
         guess of 60 degrees field of view.
     depth_scale : millimetres for one unit; overrides the camera's, and applies to float images too.
-    topic : of a bag's depth images, where it has several.
+    topic : of a bag's depth images, where it has several. may_be_empty : whether no pixel need have a depth, as where a
+        sensor drops a frame of a film.
 
     An image whose file says by EXIF that it is to be turned is turned, and its camera with it.
 
@@ -120,7 +122,7 @@ def read_depth(
     if found.shape != array.shape:
         what = f"the image is {array.shape[1]} x {array.shape[0]} pixels, its camera {found.width} x {found.height}"
         raise DerenderError(what, where, "give the camera of this image" + _at_its_size(found, array.shape))
-    depth = _metres(array, found.depth_scale, depth_scale, where)
+    depth = _metres(array, found.depth_scale, depth_scale, where, may_be_empty)
     return turned(DepthImage(depth, found, guessed, decoded.meta), decoded.turn)
 
 
@@ -241,7 +243,9 @@ def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]
     return Camera.from_field_of_view(shape[1], shape[0], FALLBACK_FIELD_OF_VIEW), True
 
 
-def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path: str | Path) -> np.ndarray:
+def _metres(
+    array: np.ndarray, camera_scale: float, explicit: float | None, path: str | Path, may_be_empty: bool
+) -> np.ndarray:
     """Return float64 metres with NaN for no return, or say what is impossible about the numbers."""
     integer = array.dtype.kind in "iu"
     scale = explicit if explicit is not None else camera_scale if integer else None
@@ -256,6 +260,8 @@ def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path
     depth[~np.isfinite(depth) | (np.abs(depth) < NEAREST)] = np.nan
     valid = depth[np.isfinite(depth)]
     if not valid.size:
+        if may_be_empty:
+            return depth
         raise DerenderError("no pixel has a depth (all are 0, NaN or inf)", path, "check the camera or the export")
     if valid.min() < 0:
         count = np.count_nonzero(valid < 0)

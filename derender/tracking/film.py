@@ -153,7 +153,7 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     else:
         frames, names, seen_camera, guessed = [], [], None, True
         for path in files:
-            seen = read_depth(path, camera, depth_scale)
+            seen = read_depth(path, camera, depth_scale, may_be_empty=True)
             check_size(seen.depth, frames[0] if frames else seen.depth, path)
             seen_camera, guessed = seen_camera or seen.camera, guessed and seen.camera_is_guess
             frames.append(seen.depth)

@@ -40,12 +40,13 @@ class Passes:
 
     def best(self) -> "Pass":
         """Return the best pass, beginning with one from the first frame."""
-        found = self.go(0, self.begin(self.frames[0]))
-        if self.moving_camera and found.cut is None and len(self.frames) > 1:
+        full = self.full()
+        found = self.go(full[0], self.begin(self.frames[full[0]]))
+        if self.moving_camera and found.cut is None and len(full) > 1:
             return self.anchored(found)
         if self.moving_camera or found.explained() or found.cut is not None:
             return found
-        for anchor in (len(self.frames) - 1, len(self.frames) // 2):
+        for anchor in (full[-1], full[len(full) // 2]):
             start = self.begun(anchor, found.start)
             if not start.things:
                 continue
@@ -61,16 +62,19 @@ class Passes:
         start = self.begin(self.frames[anchor])
         return start._replace(sigma=noise.sigma, growth=noise.growth, blur=noise.blur, temper=noise.temper)
 
+    def full(self) -> list[int]:
+        """Return the numbers of the frames that the sensor did not drop."""
+        return [t for t, frame in enumerate(self.frames) if np.any(np.isfinite(frame) & (frame > 0))]
+
     def anchored(self, found: "Pass") -> "Pass":
         """Return the pass, or one backward from the last frame if the film is likelier so.
 
         What slides as a film begins often rests as it ends, and once nothing rests no later frame tells where the
         camera is; each motion costs the nats of what it might have been as well.
         """
-        reverse = copy(self)
+        reverse, last = copy(self), self.full()[-1]
         if self.gravity is not None:
-            reverse.gravity = found.forward.seen[-1].view[:3, :3] @ self.gravity
-        last = len(self.frames) - 1
+            reverse.gravity = found.forward.seen[last - found.anchor].view[:3, :3] @ self.gravity
         other = reverse.go(last, self.begun(last, found.start))
         same = other.cut is None and len(other.start.things) == len(found.start.things)
         return other if same and other.cost() < found.cost() else found

@@ -195,7 +195,7 @@ def patiently(path: Path, camera: Any, depth_scale: Any) -> DepthImage:
     """Read a frame that may still be being written: what fails is tried again a few times."""
     for _ in range(5):
         try:
-            return read_depth(path, camera, depth_scale)
+            return read_depth(path, camera, depth_scale, may_be_empty=True)
         except DerenderError:
             time.sleep(POLL)
-    return read_depth(path, camera, depth_scale)
+    return read_depth(path, camera, depth_scale, may_be_empty=True)

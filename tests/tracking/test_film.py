@@ -42,6 +42,14 @@ def test_times_of_the_camera_file_are_the_times(tmp_path):
     assert np.allclose(read_film([write(tmp_path / "f", times=[0, 0.1, 0.3])]).times, [0, 0.1, 0.3])
 
 
+def test_a_frame_that_the_sensor_dropped_is_one_without_depth_in_a_folder_as_in_one_file(tmp_path):
+    folder = write(tmp_path / "f")
+    np.save(folder / "frame_1.npy", np.zeros((48, 64), np.float32))
+    np.savez(tmp_path / "film.npz", depth=[np.load(folder / f"frame_{t}.npy") for t in range(3)])
+    for source in (folder, tmp_path / "film.npz"):
+        assert [bool(np.isfinite(frame).any()) for frame in read_film([source]).frames] == [True, False, True]
+
+
 FAULTS = {
     "empty": (lambda folder: [p.unlink() for p in folder.glob("frame*")], "the film is empty"),
     "sizes": (lambda folder: np.save(folder / "frame_1.npy", np.ones((24, 32), np.float32)), "pixels"),
@@ -51,7 +59,10 @@ FAULTS = {
     "gravity": (lambda folder: write(folder, gravity=[0, 0]), "gravity"),
     "not finite": (lambda folder: write(folder, gravity=[0, float("nan"), 9.8]), "gravity"),
     "times": (lambda folder: write(folder, times=[0, 0.1]), "3 frames and 2 times"),
-    "nothing": (lambda folder: [np.save(p, np.zeros((48, 64), np.float32)) for p in folder.glob("frame*")], "no pixel"),
+    "nothing": (
+        lambda folder: [np.save(p, np.zeros((48, 64), np.float32)) for p in folder.glob("frame*")],
+        "no frame has",
+    ),
 }
 
 

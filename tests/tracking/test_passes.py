@@ -47,6 +47,21 @@ def test_a_film_that_is_explained_is_gone_through_once_from_its_first_frame():
     assert len(asked) == 1 and best.anchor == 0 and best.explained()
 
 
+@pytest.mark.slow
+def test_no_pass_begins_with_a_frame_that_the_sensor_dropped():
+    """The inference of an empty frame ended the film: too few pixels with depth."""
+    frames, poses = parting()
+    frames[[0, 5, 9]] = np.nan
+    asked = []
+
+    def begin(depth):
+        asked.append(depth)
+        return start(["box"], [[0.12, 0.06, 0.06]], [films.view() @ at(0, 0, 0.03)])  # explains no later frame
+
+    track = Passes(frames, CAMERA, GRAVITY, 1 / FPS, begin).best().track(np.arange(10) / FPS, [""] * 10)
+    assert len(asked) > 1 and all(np.isfinite(depth).any() for depth in asked) and len(track.times) == 10
+
+
 def test_a_film_of_one_frame_has_a_track():
     frames, poses = parting()
     track = Passes(frames[:1], CAMERA, GRAVITY, 1 / FPS, lambda d: start(["box"], [SMALL], poses[0][:1])).best()

@@ -234,7 +234,7 @@ def test_a_moving_camera_is_followed_backward_where_the_film_is_likelier_so(cost
     def made(cost):
         return type("Pass", (), {"cost": lambda _: cost, "cut": None, "start": start([], [], [])})()
 
-    passes = Passes([None, None], CAMERA, None, 1 / FPS, lambda depth: start([], [], []), None, True)
+    passes = Passes(np.ones((2, 9, 9)), CAMERA, None, 1 / FPS, lambda depth: start([], [], []), None, True)
     first, other = made(110.0), made(cost)
     passes.go = lambda *_: other
     assert (passes.anchored(first) is other) == backward
