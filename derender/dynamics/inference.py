@@ -259,7 +259,7 @@ def sample(
         if number >= ROUNDS and Draws(points, points, log_weights - logsumexp(log_weights)).effective > ENOUGH:
             break
         if number:
-            weights = np.exp(_flattened(log_weights))  # one or two draws of all the weight tell no covariance
+            weights = np.exp(_flattened(log_weights)[0])  # one or two draws of all the weight tell no covariance
             centre = weights @ points
             away = points - centre
             fitted = (weights[:, None] * away).T @ away
@@ -278,17 +278,32 @@ def sample(
         points = np.vstack([points, fresh])
         target = np.concatenate([target, [density(point[:size], point[size:]) for point in fresh]])
         log_weights = target - _mixture(points, rounds, parameters)
-    return Draws(points[:, :size], points[:, size:], _flattened(log_weights))
+    flat, power = _flattened(log_weights)
+    return Draws(_tempered(points[:, :size], np.exp(flat), power, parameters), points[:, size:], flat)
 
 
-def _flattened(log_weights: np.ndarray) -> np.ndarray:
-    """Return normalised log weights, raised to the greatest power up to 1 at which FEWEST of the draws are their worth.
+def _flattened(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return normalised log weights, raised to the greatest power up to 1 at which FEWEST of the draws are their worth,
+    and that power.
 
-    Where impacts make the density so rugged that a few draws carry all the weight, its peaks are the engine's chaos:
-    then the posterior is as wide as the rest of it.
+    Where contacts make the density so rugged that a few draws carry all the weight, its peaks are the engine's chaos:
+    films that happen to fit.
     """
-    raised = next_temperature(log_weights, 0.0, FEWEST) * log_weights
-    return raised - logsumexp(raised)
+    power = next_temperature(log_weights, 0.0, FEWEST)
+    return power * log_weights - logsumexp(power * log_weights), power
+
+
+def _tempered(points: np.ndarray, weights: np.ndarray, power: float, parameters: Parameters) -> np.ndarray:
+    """Return weighted coordinates (K, P) moved to where they are draws under the likelihood raised to a power.
+
+    Weights raised to it alone leave them as wide as what proposed them, which is as wide as one film allows. Each
+    coordinate gets the mean and width of a normal posterior whose likelihood counts so much beside the whole prior.
+    """
+    mean = weights @ points
+    told, before = weights @ (points - mean) ** 2, parameters.spread() ** 2
+    precision = power / told + (1 - power) / before
+    middle = (power * mean / told + (1 - power) * parameters.middle() / before) / precision
+    return np.array([parameters.inside(point) for point in middle + (points - mean) / np.sqrt(told * precision)])
 
 
 def _proposal(rng: np.random.Generator, components: list[Component], parameters: Parameters) -> np.ndarray:
