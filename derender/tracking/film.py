@@ -158,8 +158,12 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
             seen_camera, guessed = seen_camera or seen.camera, guessed and seen.camera_is_guess
             frames.append(seen.depth)
             names.append(path.name)
-    if not any(np.any(np.isfinite(frame) & (frame > 0)) for frame in frames):
+    shows = [bool(np.any(np.isfinite(frame) & (frame > 0))) for frame in frames]
+    if not any(shows):
         raise DerenderError("no frame has a pixel with a depth", where, "give images that show something")
+    if not shows[0]:  # how fast things are when a film begins is told by its first frame
+        what = f"the first frame, {names[0]}, has no pixel with a depth"
+        raise DerenderError(what, where, f"begin with {names[shows.index(True)]}")
     if timing.times is not None and len(timing.times) != len(frames):
         what = f"there are {len(frames)} frames and {len(timing.times)} times"
         raise DerenderError(what, camera or where, "give one time for each frame")

@@ -51,6 +51,7 @@ def test_a_frame_that_the_sensor_dropped_is_one_without_depth_in_a_folder_as_in_
 
 
 FAULTS = {
+    "dark": (lambda folder: np.save(folder / "frame_0.npy", np.zeros((48, 64), np.float32)), "begin with frame_1.npy"),
     "empty": (lambda folder: [p.unlink() for p in folder.glob("frame*")], "the film is empty"),
     "sizes": (lambda folder: np.save(folder / "frame_1.npy", np.ones((24, 32), np.float32)), "pixels"),
     "backwards": (lambda folder: write(folder, times=[0, 0.2, 0.1]), "time runs backwards"),
