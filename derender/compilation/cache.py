@@ -7,6 +7,7 @@ calls, the types of the arguments, numba and the processor. numba is imported by
 (compiler.py), and by no other: what was compiled before is loaded without it (entries.py).
 """
 
+import contextlib
 import functools
 import hashlib
 import importlib
@@ -180,11 +181,9 @@ def announce() -> None:
         helper()
     if alone or multiprocessing.current_process().name.endswith("-1"):
         clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
-        print(
-            f"{clear}derender: compiling kernels that are new to this machine (seconds to a minute; they are kept)",
-            file=sys.stderr,
-            flush=True,
-        )
+        words = "derender: compiling kernels that are new to this machine (seconds to a minute; they are kept)"
+        with contextlib.suppress(OSError):  # what stderr does not take costs nothing
+            print(f"{clear}{words}", file=sys.stderr, flush=True)
 
 
 def _name_apart(function: Callable) -> None:

@@ -1,5 +1,6 @@
 """The cache of compiled functions: never stale, anywhere, for any number of processes."""
 
+import contextlib
 import hashlib
 import multiprocessing
 import os
@@ -167,6 +168,16 @@ def test_the_first_of_many_processes_says_that_it_compiles(monkeypatch, capsys):
         monkeypatch.setattr(multiprocessing.current_process(), "_name", name)
         cache.announce.__wrapped__()
         assert capsys.readouterr().err.count("compiling kernels") == told
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_stderr_stops_no_compilation(monkeypatch):
+    full = open("/dev/full", "w")  # noqa: SIM115  (closing it fails, as writing does)
+    monkeypatch.setattr(sys, "stderr", full)
+    cache.announce.__wrapped__()
+    monkeypatch.undo()
+    with contextlib.suppress(OSError):
+        full.close()
 
 
 def test_what_was_compiled_is_called_without_numba(package):
