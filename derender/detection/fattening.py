@@ -8,7 +8,11 @@ are. (On 51 real frames, most of them of Kinects, over two; thinned by as many, 
 
 import numpy as np
 
-JUMP = 0.03  # share of the depth by which what is beyond a silhouette is farther
+from derender.detection.floor import pixel_noise
+
+# Share of the depth by which what is beyond a silhouette is farther, and standard deviations of a pixel's own noise:
+# of a pixel that noise parts from its neighbours the one that is nearer looks as if it were one too many.
+JUMP, CLEAR = 0.03, 8.0
 INSIDE = np.arange(3.0, 7.0)  # pixels within a silhouette whose line goes on to it: what is flat is no part of it
 BENT = np.array([1.0, -1.0, -1.0, 1.0])  # how far those are from lying on a line
 SLOPES = 0.002, 0.012  # shares of the depth by pixel: flatter is told by nothing, steeper is seen at a grazing angle
@@ -23,6 +27,12 @@ BEFORE = 0.6  # of that over which what is smoothed is flat before its last pixe
 SHADOW = 5  # pixels without return beside a silhouette, beyond which is told what lies behind it
 
 
+def jump_of(depth: np.ndarray) -> float:
+    """Return by which share of the depth what is beyond a silhouette of a depth image (H, W) is farther at least."""
+    there = depth > 0.0
+    return max(JUMP, CLEAR * pixel_noise(depth) / float(np.median(depth[there]))) if there.any() else JUMP
+
+
 def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
     """Return (pixels over which surfaces are flat at silhouettes, standard error), infinite where that is not told.
 
@@ -31,12 +41,12 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
     At a silhouette of slope s, inverse depth by pixel, which is flat over the last f pixels, inverse depth is f s less
     than the line within goes on to. What is round goes on otherwise, in proportion to how bent it is: both are fitted.
     """
-    away, found = INSIDE - INSIDE.mean(), []
+    away, found, jump = INSIDE - INSIDE.mean(), [], jump_of(depth)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.where(depth > 0.0, 1.0 / depth, np.nan)  # of a plane it is affine
         for image in (inverse, inverse[::-1], inverse.T, inverse.T[::-1]):
             first, last = int(INSIDE[-1]), len(image) - 1
-            row, column = np.nonzero(image[first + 1 :] < (1.0 - JUMP) * image[first:last])
+            row, column = np.nonzero(image[first + 1 :] < (1.0 - jump) * image[first:last])
             edge, row = image[row + first, column], row + first
             inner = np.stack([image[row - int(k), column] for k in INSIDE]) / edge
             middle, slope = inner.mean(axis=0), away @ inner / (away @ away)
@@ -44,7 +54,7 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
             rise = image[row - within, column] / edge - middle + slope * (INSIDE.mean() - within)
             found.append(np.stack([slope, BENT @ inner, rise, rough])[:, np.isfinite(slope)])
     slope, bent, rise, rough = np.concatenate(found, axis=1)
-    good = (np.abs(slope) > SLOPES[0]) & (np.abs(slope) < SLOPES[1]) & (np.abs(rise) < JUMP)
+    good = (np.abs(slope) > SLOPES[0]) & (np.abs(slope) < SLOPES[1]) & (np.abs(rise) < jump)
     if good.any():
         good &= rough <= ROUGH**2 * np.median(rough[good])
     terms, rise, pixels, spread = np.column_stack([slope, bent])[good], rise[good], 0.0, np.inf
@@ -73,7 +83,7 @@ def thinned(depth: np.ndarray) -> np.ndarray:
     inverse = np.where(there, 1.0 / np.where(there, depth, 1.0), np.inf)
     farthest = minimum_filter(inverse, 3)
     behind = minimum_filter(np.where(there, inverse, minimum_filter(inverse, 2 * SHADOW + 1)), 3)
-    near = JUMP * np.where(there, inverse, 0.0)
+    near = jump_of(depth) * np.where(there, inverse, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         beyond = np.where(inverse - farthest > near, 1.0 / farthest, np.nan)
         return np.where(there & (inverse - behind > near), beyond, depth)
