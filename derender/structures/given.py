@@ -68,8 +68,9 @@ MOST_STRUCTURES = 64
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SMC_PARTICLES, SMC_STEPS = 400, 100
 MOST_TIMES = 4  # the draws that are usual, of chains that go on because they disagree
-# Searches for the mode, at most; nats by which two end as high, of which walks leave a few; images drawn of a scene,
-# and standard deviations of their log density (known to a quarter from so many) by which noise leaves one below them.
+# Searches for the mode, at most; nats within which two have ended at the same height, of which walks leave a few open;
+# images drawn of a scene, and standard deviations of their log density, known to a quarter from so many, by which noise
+# alone hardly ever leaves an image below them.
 MOST_SEARCHES, AS_HIGH = 4, 10.0
 DRAWN_IMAGES, FITS = 10, 4.0
 CLIMB_DRAWS = 200  # and as many rounds of warm-up, of chains of which the best draw alone is asked
@@ -385,7 +386,10 @@ def searched(sampler: MixtureSampler, seed: int) -> MixtureSampler:
 
 
 def short_of_noise(rng: np.random.Generator, target: SceneTarget, values: np.ndarray) -> float:
-    """Return by how many standard deviations the image is less likely under values (P,) than images drawn of them."""
+    """Return by how many standard deviations the image is less likely under values (P,) than images drawn of them.
+
+    Where either has no return neither counts: how much of an image returned says nothing of the scene.
+    """
     named = target.by_address(values)
     numbers = {**target.images.values, **{address.removeprefix("likelihood."): value
                for address, value in named.items() if address.startswith("likelihood.")}}  # fmt: skip
@@ -393,12 +397,15 @@ def short_of_noise(rng: np.random.Generator, target: SceneTarget, values: np.nda
     numbers = kind.complete(numbers)
     clean, _ = render_depth(target.graph(values).solids(), camera, background=numbers["background"])
 
-    def density(image: np.ndarray) -> float:
+    def densities(image: np.ndarray) -> np.ndarray:
+        """Return the log density (H, W) of each pixel, NaN without a return."""
         evaluator = DepthEvaluator.of_depth(image, clean, kind.name, numbers)
-        return float(evaluator.set_values({}) or 0.0)
+        evaluator.set_values({})
+        return np.where(np.isfinite(image) & (image > 0.0), evaluator.per_pixel(), np.nan)
 
-    drawn = [density(kind.sample(rng, clean, numbers)) for _ in range(DRAWN_IMAGES)]
-    return float((np.mean(drawn) - density(target.images.observed)) / np.std(drawn, ddof=1))
+    own = densities(target.images.observed)
+    short = [np.nansum(densities(kind.sample(rng, clean, numbers)) - own) for _ in range(DRAWN_IMAGES)]
+    return float(np.mean(short) / np.std(short, ddof=1))
 
 
 def _enough(target: SceneTarget, outcome: Outcome, draws: int) -> int:
