@@ -4,8 +4,8 @@ Where neighbouring pixels share noise the search asks of each solid what small o
 solid or thing. Here all three are weighed as the posterior weighs them: solids by near integrals of prior times
 likelihood, a free-form surface by the likelihood of what is seen there less what its numbers cost. One solid may lean:
 two follow what leans in steps, or a sensor's bend, by 30 to 80 nats better than an upright one. Of real things, which
-are no such solids exactly, two explain more still (up to 36 nats of ten in 45 images; made stacks 21 to 450 nats):
-a bottle or a book stays one, for the second has to gain what the search asks of any solid, and both have to be off the
+are no such solids exactly, two explain more still (up to 36 nats, in ten of 45 images; of made stacks 21 to 450): a
+bottle or a book stays one, for the second has to gain what the search asks of any solid, and both have to be off the
 image no farther than INEXACT says.
 """
 

@@ -358,8 +358,8 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
         if until is None:
-            met = np.stack([each.values[:, members] for each in drawn])
-            over = number == LONGER + (len(members) > MANY) or bool(former and far_apart(met))
+            values_drawn = np.stack([each.values[:, members] for each in drawn])
+            over = number == LONGER + (len(members) > MANY) or bool(former and far_apart(values_drawn))
         else:
             over = 2.0 * time.monotonic() - began > until  # going on takes as long as all that was drawn
         if over or agreed(drawn):
