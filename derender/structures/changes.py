@@ -122,7 +122,7 @@ def badly_explained(best: Refined, i: int) -> bool:
     """Whether what solid `i` explains is off by more than noise. A search counts no pixel for more than an outlier: it
     ended with a can where a cube is, in 106 pixels, 1,281 nats below that."""
     sensor = best.sensor
-    depth, label = model_image(best.chart, best.values, sensor.camera, sensor.into)
+    depth, label = model_image(best.chart, best.values, sensor.camera, sensor.into, sensor.values["background"])
     shown = (label == i + 1) & np.isfinite(sensor.returned)
     if sensor.worth < 1.0 or not shown.any():
         return False

@@ -412,4 +412,6 @@ def observed_under(graph: SceneGraph, observations: list[Observation], case: Cas
     sensor, depth = sensor_beliefs(case.beliefs, observations[0].correlation > CORRELATED), case.depth
     other = too_far(depth) | np.all([of_whole_image(each.behind, each, depth.shape) for each in observations], axis=0)
     seen = np.where(other, -depth, depth)
-    return ObservedImage(case.camera, seen, *image_likelihood(case.camera, seen, graph.solids(), sensor))
+    return ObservedImage(
+        case.camera, seen, *image_likelihood(case.camera, seen, graph.solids(), sensor, observations[0].wall)
+    )

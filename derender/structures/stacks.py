@@ -41,7 +41,6 @@ from derender.structures.draws.refined import (
     refine,
     view_of,
 )
-from derender.structures.draws.sensor import model_depth
 
 # Times as far as half of the floor's pixels are off it half of those of a solid are that may be two, at least; and of
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
@@ -156,7 +155,7 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
     ones = [state, *(each.changed(i, row=row) for each in (upright, leaning) for row in rows)]
     one, alone = likeliest(climbed(ones, (i,)), (i,))
     left = make_chart(state.without(i), floor, rules)
-    free = np.where(shown, smooth_surface(seen.image.depth, shown), model_depth(*left, view.camera))
+    free = np.where(shown, smooth_surface(seen.image.depth, shown), sensor.clean(*left))
     numbers = cost_of(seen, settings.believed.loose.things).numbers(shown) + 0.5 * sensor.worth * shown.sum()
     surface = alone - one.log_likelihood + sensor.likelihood.log_density(sensor.observed, free, sensor.values) - numbers
     asked = settings.price / settings.temper  # of a solid, in nats of the likelihood

@@ -28,7 +28,7 @@ from derender.structures.draws.chart import Chart
 from derender.structures.draws.curvature import APART, weights
 from derender.structures.draws.metropolis import engine_of, load
 from derender.structures.draws.refined import Refined, height, refine, refined_at, view_of, with_sensor_refitted
-from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.draws.sensor import Sensor
 from derender.structures.graph_posterior import independent_parts
 from derender.structures.options import Frame
 from derender.structures.unions import on_supports
@@ -248,7 +248,7 @@ def shared(refined: Refined) -> np.ndarray:
     Those that chance alone may make are 0.
     """
     views = refined.sensor.views
-    models = [model_depth(refined.chart, refined.values, view.camera, view.into) for view in views]
+    models = [view.clean(refined.chart, refined.values) for view in views]
     residuals = [residual_of(view, model) for view, model in zip(views, models, strict=True)]
     found = np.zeros((len(views), len(views)))
     for a in range(len(views)):
@@ -438,7 +438,7 @@ def view_moved(refined: Refined, view: Sensor, least: float) -> Sensor:
 def pose_step(chart: Chart, values: np.ndarray, view: Sensor) -> list[np.ndarray]:
     """Return (v, w) of a Gauss-Newton step of a view's camera, metres and radians in its axes."""
     camera, smooth = view.camera, view.values["blur"]
-    base = model_depth(chart, values, camera, view.into)
+    base = view.clean(chart, values)
     shown = blur(base, smooth)
     residual = np.nan_to_num(view.returned - shown)
     weight = weights(view, shown)
@@ -449,7 +449,7 @@ def pose_step(chart: Chart, values: np.ndarray, view: Sensor) -> list[np.ndarray
     for k, step in enumerate(steps):
         ahead, behind = (
             blur(
-                model_depth(chart, values, camera, twist_exp(*np.split(way * step * np.eye(6)[k], 2)) @ view.into),
+                view._replace(into=twist_exp(*np.split(way * step * np.eye(6)[k], 2)) @ view.into).clean(chart, values),
                 smooth,
             )
             for way in (1.0, -1.0)

@@ -57,7 +57,7 @@ class Spot(NamedTuple):
 def nearer_than_explained(best: Refined) -> np.ndarray:
     """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return."""
     sensor = best.sensor
-    model = blur(model_depth(best.chart, best.values, sensor.camera), sensor.values["blur"])
+    model = blur(sensor.clean(best.chart, best.values), sensor.values["blur"])
     noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * model**2
     return np.clip((model - sensor.returned) / noise, -MOST_OF_ONE, MOST_OF_ONE)
 

@@ -22,7 +22,6 @@ from derender.structures.alternatives import DOUBTFUL, QUICK, climbed, tried, we
 from derender.structures.changes import LEAST_TALL
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, floor_pose_of
-from derender.structures.draws.sensor import model_depth
 from derender.structures.weighing import Block, Weighed, of_block
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
@@ -158,8 +157,7 @@ def change_of_image(best: Refined, chart: Chart, values: np.ndarray) -> float:
     """Return how much worse another chart's images explain those of the best in nats, no pixel more than LIMIT."""
     total = 0.0
     for view in best.sensor.views:
-        before, after = (model_depth(*each, view.camera, view.into)
-                         for each in ((best.chart, best.values), (chart, values)))  # fmt: skip
+        before, after = view.clean(best.chart, best.values), view.clean(chart, values)
         noise = view.values["sigma"] + view.values.get("sigma_growth", 0.0) * before**2
         total += float(np.minimum(0.5 * ((after - before) / noise) ** 2, LIMIT).sum())
     return total

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+import derender
+from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Rules, bare_image
@@ -356,6 +358,18 @@ def test_fitted_noise_is_in_the_range_of_a_likelihood(kind):
     values = likelihoods["robust"].complete({"sigma": sigma, "sigma_growth": growth})  # checks the ranges
     if kind in ("constant", "one depth"):
         assert growth == 0.0 and values["sigma"] == pytest.approx(0.002, rel=0.05)
+
+
+@pytest.mark.parametrize(("wall", "scale"), [(3.0, 1.0), (4.0, 0.4)], ids=["nearer", "in another unit"])
+def test_what_lies_behind_everything_is_as_far_away_as_it_is_seen(wall, scale):
+    rng = np.random.default_rng(3)
+    eye = camera(96, 72)
+    clean = scale * model_depth(*make_chart(cube(), floor_pose(0.25), Rules(0.0015)), eye)
+    noise = {"sigma": 0.002 * scale, "blur": 0.5, "background": wall}
+    observed = likelihoods["gaussian"].sample(rng, clean, noise)
+    found = derender.infer(DepthImage(observed, eye), quick=True)
+    assert found.meta["likelihood"]["background"] == pytest.approx(wall, rel=0.01)
+    assert len(found.objects) == 1 and not any("explained" in each for each in found.doubts)
 
 
 def test_the_whole_image_s_likelihood_is_read_off_it():

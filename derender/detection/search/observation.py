@@ -106,6 +106,7 @@ class Observation(NamedTuple):
     things: tuple = ()
     interrupted: bool = False  # whether the search that looked at it was, so that what it found is the best so far
     agreed: bool = True  # whether two searches found the same
+    wall: float | None = None  # metres to the one depth that lies behind everything, Eq. 6; None: none is seen
     rivals: tuple = ()  # planes that may be the floor instead, each a Rival, the likeliest first
 
     @property
@@ -317,7 +318,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     if correlation > CORRELATED:
         sigma = np.hypot(sigma, np.fmin(bare_image().loose.faces, sensor_deviation(depth)))
     image = make_image(depth, sigma, camera, floor.pose, blur)
-    wall = raise_wall(image)
+    on_wall, wall = raise_wall(image)
     points = back_project(depth, camera) - floor.pose[:3, 3]
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
     good = image.weight > 0
@@ -339,7 +340,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
         mask = standing_bodies(surface, above & ~beyond, beyond_edge / scale, held, floating, real)
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask
-    background = (background & ~wall) | beyond
+    background = (background & ~on_wall) | beyond
     image.floor[background] = image.depth[background] + 1e-9
 
     # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
@@ -351,7 +352,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
         image.floor[away] = image.depth[away]
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
-                       depth, camera, beyond_edge, backdrop is not None)  # fmt: skip
+                       depth, camera, beyond_edge, backdrop is not None, wall=wall)  # fmt: skip
 
 
 def nearest_pixels(count: int, factor: int, among: int, others: int) -> np.ndarray:
@@ -376,24 +377,24 @@ def near(mask: np.ndarray, reach: int) -> np.ndarray:
     return maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
-def raise_wall(image: Image) -> np.ndarray:
+def raise_wall(image: Image) -> tuple[np.ndarray, float | None]:
     """Where what lies beyond the floor is one depth (the wall of Eq. 6), put it behind the floor, in place.
 
-    Returns (H, W) bool: the pixels of the wall.
+    Returns (H, W) bool, the pixels of the wall, and the metres to it, None where there is none.
     """
     sky = (image.floor >= FAR) & (image.weight > 0)
     none = np.zeros(sky.shape, bool)
     if sky.sum() < 50:
-        return none
+        return none, None
     seen = image.depth[sky]
     wall = float(np.median(seen))
     nearer = image.depth[(image.weight > 0) & ~sky]
     # a tall solid before the horizon is of one depth too, but not behind nearly all else
     if np.median(np.abs(seen - wall)) > 0.01 * wall or (len(nearer) and wall < np.quantile(nearer, 0.9)):
-        return none
+        return none, None
     beyond = image.floor > wall
     image.floor[beyond] = wall
-    return beyond
+    return beyond, wall
 
 
 def patches_of(seen: Observation) -> Patches:

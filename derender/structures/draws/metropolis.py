@@ -52,7 +52,7 @@ from derender.structures.draws.chart import (
     rows_at,
 )
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.sensor import Sensor, blurs_about, model_depth
+from derender.structures.draws.sensor import Sensor, blurs_about
 from derender.structures.draws.steps import (
     FACTOR,
     FIRST,
@@ -330,7 +330,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     """
     members = list(range(len(values)) if only is None else only)
     walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
-    blurs = [blurs_about(view, model_depth(chart, values, view.camera, view.into)) if open_blur else ()
+    blurs = [blurs_about(view, view.clean(chart, values)) if open_blur else ()
              for view in sensor.views]  # fmt: skip
     spread = inverse_of(Curvature(walkers[0].engine, chart, sensor, values).precision(members))
     factor = np.linalg.cholesky(spread)

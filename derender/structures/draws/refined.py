@@ -33,7 +33,6 @@ from derender.structures.draws.sensor import (
     final_sensor,
     first_sensor,
     floor_depth,
-    model_depth,
     model_image,
     same_sensor_refitted,
     too_far,
@@ -117,6 +116,7 @@ class View(NamedTuple):
     observed: np.ndarray  # (H, W)
     into: np.ndarray = np.eye(4)
     shared: bool = False  # whether its neighbouring pixels share noise, so that it is a real sensor's
+    wall: float | None = None  # see Observation
 
 
 def view_of(seen: Any) -> View:
@@ -136,7 +136,7 @@ def view_of(seen: Any) -> View:
         nearest = np.minimum(there(seen.image.depth), floor) - BEFORE * there(seen.sigma)
         observed = np.where(there(as_seen) & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
         observed = with_out_of_reach(observed, floor)
-    return View(camera, observed, shared=seen.correlation > CORRELATED)
+    return View(camera, observed, shared=seen.correlation > CORRELATED, wall=seen.wall)
 
 
 def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
@@ -169,7 +169,9 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
     chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
     first, *others = (
-        first_sensor(view.camera, view.observed, chart, values, sensor_beliefs(beliefs, view.shared), view.into)
+        first_sensor(
+            view.camera, view.observed, chart, values, sensor_beliefs(beliefs, view.shared), view.into, view.wall
+        )
         for view in views
     )
     sensor = first._replace(others=tuple(others))
@@ -355,7 +357,7 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
         load(views, chart, values)
         own = densities(views)
         held = held + own[:, 1]
-        nodes = blurs_about(view, model_depth(chart, values, view.camera, view.into))
+        nodes = blurs_about(view, view.clean(chart, values))
         if len(nodes) == 1:  # it is known
             continue
         step = np.log(nodes[1] - nodes[0])

@@ -32,7 +32,7 @@ APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside 
 RULES_OUT = 15.0  # nats by which a blur explains less, solids held: where they give way the blur is more open
 MOST_BLUR = 5.0  # pixels, as a likelihood allows them
 LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
-BACKGROUND = 10.0
+BACKGROUND = 10.0  # metres to the wall behind everything, where the image shows none
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: pixels beyond it are left out
@@ -93,6 +93,10 @@ class Sensor(NamedTuple):
         beside = self.beside if same and self.beside is not None else likelihood.beside(self.observed, numbers)
         return self._replace(likelihood=likelihood, values=numbers, beside=beside)
 
+    def clean(self, chart: Chart, values: np.ndarray) -> np.ndarray:
+        """Return the clean depth (H, W) of a chart's solids in the first view, with its likelihood's wall behind."""
+        return model_depth(chart, values, self.camera, self.into, self.values.get("background", BACKGROUND))
+
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
         """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
 
@@ -107,23 +111,25 @@ class Sensor(NamedTuple):
 
 
 def model_image(
-    chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None
+    chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None, wall: float = BACKGROUND
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the clean depth (H, W) of a chart's solids, with the wall behind, and label (H, W): 1 + k for solid k.
 
-    into : (4, 4), the scene's axes to this camera's; None: they are the same.
+    into : (4, 4), the scene's axes to this camera's; None: they are the same. wall : how far away that is.
     """
     _, poses, sizes = placed(chart, values)
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     poses = poses if into is None else into @ poses
     solids = Solids(kinds, poses, sizes, np.full(len(kinds), -1, np.int32), ())
-    depth, label = render_depth(solids, camera, background=BACKGROUND)
-    return np.minimum(depth, BACKGROUND), label
+    depth, label = render_depth(solids, camera, background=wall)
+    return np.minimum(depth, wall), label
 
 
-def model_depth(chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None) -> np.ndarray:
-    """Return the clean depth (H, W) of a chart's solids, with the wall behind; into : see `model_image`."""
-    return model_image(chart, values, camera, into)[0]
+def model_depth(
+    chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None, wall: float = BACKGROUND
+) -> np.ndarray:
+    """Return the clean depth (H, W) of a chart's solids, with the wall behind; into, wall : see `model_image`."""
+    return model_image(chart, values, camera, into, wall)[0]
 
 
 def floor_depth(floor: np.ndarray, camera: Camera) -> np.ndarray:
@@ -156,18 +162,27 @@ def first_sensor(
     values: np.ndarray,
     prior: LikelihoodPrior | None = None,
     into: np.ndarray | None = None,
+    wall: float | None = None,
 ) -> Sensor:
-    """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor."""
+    """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor.
+
+    wall : how far away what lies behind everything is seen, see `Observation`; None: it is not.
+    """
     observed = np.where(too_far(observed), np.nan, observed)
     into = np.eye(4) if into is None else into
-    clean = model_depth(chart, values, camera, into)
-    held = NONE if shares_noise(prior) else held_by(prior)
+    held = {**behind_all(wall), **(NONE if shares_noise(prior) else held_by(prior))}
+    clean = model_depth(chart, values, camera, into, held["background"])
     fitted = partial(robust_fit, observed, clean, rates=(FIRST_OUTLIERS,), held=held)
     best = max((fitted(blurred) for blurred in BLURS), key=itemgetter(0))
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
         return sensor
     return under_shared_noise(sensor, clean, ROUNDS)
+
+
+def behind_all(wall: float | None) -> dict[str, float]:
+    """Return {"background": metres to the wall behind everything}; wall : see `first_sensor`."""
+    return {"background": BACKGROUND if wall is None else wall}
 
 
 def shares_noise(prior: LikelihoodPrior | None) -> bool:
@@ -243,7 +258,7 @@ def robust_fit(
     missing = float(np.clip(np.mean(np.isnan(observed)), LEAST_MISSING, MOST_MISSING))
     numbers = {"sigma": sigma, "sigma_growth": growth, "blur": float(blurred), "missing": missing,
                "missing_edge": missing, "background": BACKGROUND, **outlier_range(observed)}  # fmt: skip
-    numbers |= {name: held[name] for name in ("missing", "missing_edge") if name in held}
+    numbers |= {name: held[name] for name in ("missing", "missing_edge", "background") if name in held}
     spread = sigma + growth * model[seen] ** 2
     surface = np.exp(-0.5 * (residual[seen] / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
     found = []
@@ -271,7 +286,8 @@ def gaussian_fit(
     sigma = held.get("sigma", float(np.clip(np.sqrt(square), LEAST_SIGMA, MOST_SIGMA)))
     count = int(np.isfinite(residual).sum())
     density = -count * (0.5 * square / sigma**2 + np.log(sigma) + 0.5 * np.log(2.0 * np.pi))
-    return density, "gaussian", {"sigma": sigma, "blur": float(blurred), "background": BACKGROUND}
+    wall = held.get("background", BACKGROUND)
+    return density, "gaussian", {"sigma": sigma, "blur": float(blurred), "background": wall}
 
 
 def best_fit(
@@ -282,6 +298,7 @@ def best_fit(
     steps: tuple[float, ...],
     every: int = 1,
     prior: LikelihoodPrior | None = None,
+    wall: float = BACKGROUND,
 ) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers): the blur near the best of `blurs`.
 
@@ -289,9 +306,9 @@ def best_fit(
     structure that leaves one out of an edge has outliers, and the two were weighed under different likelihoods.
 
     rates : of outliers, the first while the blur is sought. steps : pixels by which the blur is then improved.
-    prior : see Sensor: its numbers hold, and gaussian noise that it says is gaussian.
+    prior : see Sensor: its numbers hold, and gaussian noise that it says is gaussian. wall : behind the clean depth.
     """
-    held = held_by(prior)
+    held = {**held_by(prior), "background": wall}
     fitted = partial(robust_fit, observed, clean, every=every, held=held)
     best = max((fitted(blurred, rates[:1]) for blurred in blurs), key=itemgetter(0))
     for step in steps:
@@ -309,12 +326,12 @@ def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
     """Return the sensor refitted given a good state, the blur to a hundredth of a pixel."""
 
     def refitted(view):
-        clean = model_depth(chart, values, view.camera, view.into)
+        clean = view.clean(chart, values)
         if shares_noise(view.prior):
             return under_shared_noise(view, clean, None)
         about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
         _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125),
-                                    prior=view.prior)  # fmt: skip
+                                    prior=view.prior, wall=view.values["background"])  # fmt: skip
         return view.changed(name, **numbers)
 
     return sensor.each(refitted)
@@ -322,14 +339,14 @@ def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
 
 def same_sensor_refitted(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
     """Return the sensor with the numbers that explain a state best, each view's likelihood of the same type."""
-    return sensor.each(lambda view: _same_refitted(view, model_depth(chart, values, view.camera, view.into)))
+    return sensor.each(lambda view: _same_refitted(view, view.clean(chart, values)))
 
 
 def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
     """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
     if shares_noise(sensor.prior):
         return under_shared_noise(sensor, clean, None)
-    held = held_by(sensor.prior)
+    held = {**held_by(sensor.prior), "background": sensor.values["background"]}
 
     def fitted(blurred, *rates):
         if sensor.likelihood.name == "gaussian":
@@ -370,22 +387,23 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
 
 
 def image_likelihood(
-    camera: Camera, observed: np.ndarray, solids: Solids, prior: Any = None
+    camera: Camera, observed: np.ndarray, solids: Solids, prior: Any = None, wall: float | None = None
 ) -> tuple[str, dict[str, float]]:
     """Return (name, numbers) of the likelihood that a whole image suggests, given a scene.
 
     What inference looked at may be reduced, and cut where it is far away; this is of the image as it came.
-    observed : (H, W) metres, NaN where nothing returned. prior : what is believed of the sensor, see Sensor.
+    observed : (H, W) metres, NaN where nothing returned. prior, wall : see `first_sensor`.
     """
-    clean, _ = render_depth(solids, camera, background=BACKGROUND)
+    held = behind_all(wall) | held_by(prior)
+    clean, _ = render_depth(solids, camera, background=held["background"])
+    clean = np.minimum(clean, held["background"])
     every = max(1, camera.width // LOOKED_AT)
     if shares_noise(prior):
-        clean = np.minimum(clean, BACKGROUND)
-        found = robust_fit(observed, clean, 0.0, (FIRST_OUTLIERS,))[2]
+        found = robust_fit(observed, clean, 0.0, (FIRST_OUTLIERS,), held=behind_all(wall))[2]
         sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
         found = under_shared_noise(sensor, clean, 0)
         return found.likelihood.name, found.values
     numbers: dict[str, float]
-    _, name, numbers = best_fit(observed, np.minimum(clean, BACKGROUND), (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4),
-                                (0.25, 0.1), every, prior)  # fmt: skip
+    _, name, numbers = best_fit(observed, clean, (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4), (0.25, 0.1), every, prior,
+                                held["background"])  # fmt: skip
     return name, numbers
