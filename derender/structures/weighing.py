@@ -191,6 +191,8 @@ def made_sure(rng, best, others, drawn, rules):
         for k, each in zip(close, found, strict=True):
             told[k] = np.concatenate([told[k], each])
             mean = averaged(*told[k].T)
+            if mean is None:
+                continue
             apart = others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
             others[k] = others[k]._replace(odds=mean["odds"] + apart, error=mean["error"])
         close = [k for k in close if error_of_weight(others[k]) > OPEN]
@@ -246,9 +248,17 @@ def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]
     return Evidence(held.log + more.log, math.hypot(held.standard_error, more.standard_error))
 
 
-def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float]:
+def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float] | None:
     """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,); what is NOTHING beside the
-    greatest is 0, and other integrals that failed, as long as most did not, tell nothing."""
+    greatest is 0, and other integrals that failed, as long as most did not, tell nothing.
+
+    Where the integral under which the rest was drawn came out as 0, which it is not, it failed: a ratio to it tells
+    nothing. None: all did.
+    """
+    known = logs < np.inf  # a NaN is not: 0 / 0
+    logs, errors = logs[known], errors[known]
+    if not len(logs):
+        return None
     good = errors <= NEAR_ERROR
     if 2 * good.sum() >= len(logs):
         good |= logs < logs[good].max() - NOTHING

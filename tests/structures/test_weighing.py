@@ -227,6 +227,14 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
     assert abs(one_failed["odds"] + 1.03) < 0.05 and one_failed["error"] < 0.2
 
 
+@pytest.mark.parametrize("failed", [np.inf, np.nan], ids=["under the best alone", "under both"])
+def test_a_ratio_to_an_integral_that_failed_tells_nothing(failed):
+    """Such an image ended in a division by zero."""
+    told = averaged(np.array([0.2, failed, failed]), np.array([0.1, np.inf, np.inf]))
+    assert told == averaged(np.array([0.2]), np.array([0.1]))
+    assert averaged(np.full(2, failed), np.full(2, np.inf)) is None
+
+
 @pytest.mark.parametrize(
     ("odds", "error", "places"), [(-0.5, 0.1, 4), (-0.5, 0.4, 12), (-0.5, 1.0, 28), (-3.0, 1.0, 4)]
 )
