@@ -118,6 +118,19 @@ def test_the_rooms_floor_below_a_table_is_there_too_and_no_rival(rng, lower, riv
     assert len(seen.rivals) == 1 and len(seen.other_floors) == rivals
 
 
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_a_wall_on_which_much_hangs_is_no_likelier_floor_than_the_floor_before_it(rng, way):
+    """A camera held level, turned aside from the wall, shows it in most of the image, with what stands out."""
+    floor = plane_depth(np.array([0.0, 0.998, 0.06]), 0.8)
+    wall = plane_depth(np.array([0.3 * way, -0.06, 0.95]), 1.9)
+    wall[20:80, 30:70] -= 0.15
+    wall[30:90, 90:130] -= 0.12
+    depth = np.fmin(wall, floor)
+    assert 0.05 < np.mean(depth == floor) < 0.12
+    seen = observe(depth + smooth_noise(rng, 0.003), WIDE)
+    assert seen.floor.pose[:3, 2] @ [0.0, -1.0, -0.06] > LEVEL
+
+
 def test_a_plane_alone_has_no_rivals(rng):
     assert len(floors_of(plane_depth(DOWN, 0.5) + smooth_noise(rng, 0.001), WIDE)) == 1
 

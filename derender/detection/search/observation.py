@@ -32,6 +32,7 @@ from derender.detection.floor import (
     sensor_deviation,
 )
 from derender.detection.floors import (
+    SQUARE,
     WIDTHS,
     Candidate,
     find_backdrop,
@@ -235,14 +236,14 @@ def odds_among(seen: Observation, found: list[Observation], level: bool, believe
     """Return the log odds in nats that the floor of one of the Observations `found` of an image is the floor.
 
     They explain what is on it and as much again at most that stands there; of what is on others parallel to it, which
-    are further supports, or what it is itself a support of, a part. level : whether they are known to be level.
+    are further supports, or what it is itself a support of, and on others square to it, which are walls, or the floor
+    before it, a part. level : whether they are known to be level.
     """
     normal, own = seen.floor.pose[:3, 2], seen.floor.inliers | seen.mask
     on, standing = seen.floor.inliers.sum(), seen.mask.sum()
-    parallel = [
-        other.floor.inliers for other in found if other is not seen and other.floor.pose[:3, 2] @ normal > LEVEL
-    ]
-    others = np.any(parallel, axis=0) & ~own if parallel else np.zeros_like(own)
+    along = [(other.floor.inliers, abs(other.floor.pose[:3, 2] @ normal)) for other in found if other is not seen]
+    told = [inliers for inliers, cosine in along if cosine > LEVEL or cosine < SQUARE]
+    others = np.any(told, axis=0) & ~own if told else np.zeros_like(own)
     under = (seen.image.weight > 0) & (seen.points[..., 2] < -ROUGHEST * seen.sigma) & ~others
     explained = on + min(standing, on) + believed.parallel * others.sum() - believed.under * under.sum()
     prior = prior_of(normal[None], np.array([normal @ seen.floor.pose[:3, 3]]), level, believed)
