@@ -63,7 +63,9 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
     masks : [(H, W) bool] of free-form things.
     """
     masks, surface = list(masks), seen.surface
-    while parts := held_by_another(state) or falling(state) or neck(state, seen.image) or gable(seen, state):
+    while parts := (
+        held_by_another(state) or each_other(state) or falling(state) or neck(state, seen.image) or gable(seen, state)
+    ):
         state, found = joined(seen, state, parts)
         masks += found
     if not masks and not len(state):
@@ -236,6 +238,12 @@ def held_by_another(state: State) -> tuple[int, int] | None:
             if state.parents[i] == j or gap_between(row, other) < HELD:
                 return i, j
     return None
+
+
+def each_other(state: State) -> tuple[int, int] | None:
+    """Return (i, j), two solids that rest on each other and on nothing else: neither could be there first."""
+    pairs = ((i, j) for i, j in enumerate(state.parents) if j != FLOOR and state.parents[j] == i)
+    return next(pairs, None)
 
 
 def neck(state: State, image: Image | None = None) -> tuple[int, int] | None:

@@ -9,6 +9,7 @@ from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
 
 from derender.detection import estimate
 from derender.detection.compounds import (
+    each_other,
     falling,
     goes_on,
     hangs_on,
@@ -368,6 +369,13 @@ def test_a_gable_is_the_slope_of_its_carton_and_what_stands_on_one_is_not():
         over = seen.mask & (seen.points[..., 2] > tall + 0.003)
         normal = seen.surface.normals(seen.surface.good)
         assert over.sum() > 50 and slope_of(seen, state, over, normal) == expected
+
+
+def test_solids_that_rest_on_each_other_and_on_nothing_else_are_one():
+    row = make_row(BOX, np.eye(3), np.zeros(3), np.full(3, 0.1))
+    leans = State().add(row, FREE, False, 1)
+    assert each_other(leans.add(row, FREE, False, 0)) == (0, 1)
+    assert each_other(leans.add(row, UPRIGHT, False, FLOOR, 0.0)) is None
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
