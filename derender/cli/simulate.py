@@ -184,13 +184,11 @@ def _one(source: "Found", what, ask, margin: bool, forces: bool, talk: Talk):
     """Return the summary of a scene, and the outcome of the most probable one."""
     import numpy as np
 
-    from derender.physics.outcome import assumptions, outcomes, simulate_scene, summary_of
+    from derender.physics.outcome import assumed_of_draws, assumptions, outcomes, simulate_scene, summary_of
 
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
     best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
     assumed = assumptions(best.matter, best.trajectory)
-    for sentence in assumed:
-        talk.warn(sentence)
     runs = [best]
     if ask["until"] and not (source.uncertain or what.jitter):
         talk.warn("--until says nothing here: a scene without jitter is the same in every draw")
@@ -199,6 +197,9 @@ def _one(source: "Found", what, ask, margin: bool, forces: bool, talk: Talk):
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
         drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], ask["jobs"], ask["until"])
         runs = [replace(run, trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
+        assumed += assumed_of_draws(runs)
+    for sentence in assumed:
+        talk.warn(sentence)
     return summary_of(best, runs, assumed, source.missed), best
 
 

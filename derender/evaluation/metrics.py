@@ -301,7 +301,7 @@ def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
         "fallen": [],
     }
     if known:
-        verdict = judge(simulate(matter, early=True))
+        verdict = judge(simulate(matter, early=True), matter)
         found.update(stable=verdict.stable, fallen=list(verdict.fallen))
     return found
 

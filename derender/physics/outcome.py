@@ -18,7 +18,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.physics.bodies import LEAST_MASS, Matter, matter_of_graph
 from derender.physics.intervention import Intervention, intervention
-from derender.physics.statics import ContactForce, Equilibrium, find_contacts, widest_gap
+from derender.physics.statics import ContactForce, Equilibrium, deep_overlaps, find_contacts
 from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory, Verdict, judge
 from derender.registry import suggest
 
@@ -236,17 +236,10 @@ def assumptions(matter: Matter, trajectory: Trajectory | None = None) -> list[st
         if not np.isfinite(numbers).all() or (body.kind != "plane" and np.min(body.size) <= 0):
             raise DerenderError("a number of this object is not finite or a size not positive", body.name, "give it")
     said = []
-    deepest = widest_gap(matter.unit)
-    contacts = find_contacts(matter)
-    seen = set()
-    for first, second, gap in zip(contacts.first, contacts.second, contacts.gap, strict=True):
-        pair = matter.bodies[first].name, matter.bodies[second].name
-        if gap < -deepest and pair not in seen:
-            seen.add(pair)
-            said.append(
-                f"{pair[0]} and {pair[1]} overlap by {-1e3 * gap:.1f} mm: they are taken to rest as they are, but such "
-                "a scene cannot be"
-            )
+    for first, second, depth in deep_overlaps(matter, find_contacts(matter)):
+        said.append(
+            f"{first} and {second} overlap by {1e3 * depth:.1f} mm: no rigid bodies can, so this does not stand"
+        )
     masses = {body.name: body.weight_in_kg() for body in matter.bodies if body.moves}
     heaviest = max(masses.values(), default=0.0)
     for name, mass in masses.items():
@@ -264,10 +257,17 @@ def assumptions(matter: Matter, trajectory: Trajectory | None = None) -> list[st
     return said
 
 
+def assumed_of_draws(runs: Sequence[Outcome]) -> list[str]:
+    """Return what is assumed of the draws of an uncertain scene beyond that of the most probable one."""
+    deep = sum(bool(deep_overlaps(run.matter, find_contacts(run.matter))) for run in runs)
+    return [f"in {deep} of {len(runs)} draws solids enter each other deep: those do not stand"] if deep else []
+
+
 # Draws that each verdict is worth beforehand, one in all, so that no verdict is surer than the draws can make it.
 BEFORE = {STANDS: 0.5, SETTLES: 0.25, FALLS: 0.25}
 COLUMNS = (
-    "scene", "verdict", "stable", "p_stable", "p_stable_error", "margin", "fallen", "mujoco", "statics", "fault",
+    "scene", "verdict", "stable", "p_stable", "p_stable_error", "margin", "fallen", "mujoco", "statics", "assumed",
+    "fault",
 )  # fmt: skip
 
 
@@ -323,7 +323,10 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
 def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     """Return the row of a scene in a table of many; of one that could not be simulated, `found` has a `fault` alone."""
     row = dict.fromkeys(COLUMNS) | {"scene": name} | {key: found[key] for key in COLUMNS if key in found}
-    return row if "fault" in found else row | {"fallen": " ".join(found["fallen"])} | dict(found["engines"])
+    if "fault" in found:
+        return row
+    words = {"fallen": " ".join(found["fallen"]), "assumed": "; ".join(found["assumed"])}
+    return row | words | dict(found["engines"])
 
 
 def _agree(run: Outcome) -> bool:

@@ -53,6 +53,27 @@ def widest_gap(unit: float) -> float:
     return max(WIDEST_GAP * unit, WIDEST_GAP_METRES)
 
 
+class Entered(NamedTuple):
+    """A pair of solids that enter each other."""
+
+    first: str  # names
+    second: str
+    depth: float  # metres
+
+
+def deep_overlaps(matter: Matter, contacts: Contacts) -> list[Entered]:
+    """Return which pairs of solids enter each other by more than the slack of a contact: no rigid bodies can be so.
+
+    Of a mesh only its hull, or those of its parts, are known: a cup in a bowl enters that. Such pairs are left out.
+    """
+    found: dict[tuple[str, str], Entered] = {}
+    for k in np.flatnonzero(contacts.gap < -widest_gap(matter.unit)):
+        first, second = matter.bodies[contacts.first[k]], matter.bodies[contacts.second[k]]
+        if "mesh" not in (first.kind, second.kind):
+            found[first.name, second.name] = Entered(first.name, second.name, -float(contacts.gap[k]))
+    return list(found.values())
+
+
 def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     """Return where the bodies of a scene touch; pairs that the graph joins touch across gaps of millimetres too.
 
@@ -102,7 +123,8 @@ class Equilibrium:
     ----------
     residual : (B, 6) what cannot be balanced of each moving body's force and moment, in units of its weight (and its
         weight times its size).
-    stands : whether there is none.
+    entered : the pairs of solids that enter each other so deep that no rigid bodies can be so.
+    stands : whether there are none of either.
     """
 
     def __init__(self, matter: Matter, contacts: Contacts | None = None) -> None:
@@ -126,13 +148,17 @@ class Equilibrium:
         self.load = np.zeros((len(self.moving), 6))
         self.load[:, :3] = -self.down
         self.residual, self._memory = equilibrium(self.parts, self.load)
-        self.stands = greatest(self.residual) <= BALANCED
+        self.entered = deep_overlaps(matter, self.contacts)
+        self.stands = not self.entered and greatest(self.residual) <= BALANCED
 
     def unbalanced(self) -> dict[str, float]:
-        """Return by name which share of a body's weight nothing holds, the greatest first."""
+        """Return by name what share of a body's weight nothing holds, greatest first; inf of what enters another."""
         missing = np.linalg.norm(self.residual, axis=1)
+        names = [self.matter.bodies[k].name for k in self.moving]
+        entered = {name for pair in self.entered for name in (pair.first, pair.second)}
+        missing = np.where([name in entered for name in names], np.inf, missing)
         order = [k for k in np.argsort(-missing, kind="stable") if missing[k] > BALANCED]
-        return {self.matter.bodies[self.moving[k]].name: float(missing[k]) for k in order}
+        return {names[k]: float(missing[k]) for k in order}
 
     def margin(self) -> tuple[float, tuple[float, float, float] | None]:
         """Return the least horizontal acceleration that something cannot bear, in g, and its direction (3,)."""

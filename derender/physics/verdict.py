@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
-from derender.physics.statics import find_contacts, widest_gap
+from derender.physics.statics import deep_overlaps, find_contacts, widest_gap
 from derender.scene.graph import ROOT, Contact, Vertex, floating, nearest_contact
 from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
@@ -113,11 +113,17 @@ class Verdict:
 def judge(trajectory: Trajectory, matter: Matter | None = None) -> Verdict:
     """Return whether the bodies stayed where they were, and how far each moved and turned.
 
-    matter : the scene that was simulated; without it what has moved has fallen.
+    matter : the scene that was simulated; without it what has moved has fallen. What enters another so deep that no
+        rigid bodies can be so has fallen from the start: that the engine lets it rest as it is tells nothing.
     """
     moved = trajectory.first_moved()
     word = STANDS
-    if moved:
+    entered = [] if matter is None else deep_overlaps(matter, find_contacts(matter))
+    if entered:
+        pairs = {name for pair in entered for name in (pair.first, pair.second)}
+        moved = {name: 0.0 for name in trajectory.names if name in pairs} | moved
+        word = FALLS
+    elif moved:
         same = matter is not None and trajectory.resting and _same_structure(trajectory, matter)
         word = SETTLES if same else FALLS
     return Verdict(word, moved, trajectory.greatest_displacement(), trajectory.greatest_rotation())

@@ -10,7 +10,16 @@ from derender.document import document_text, read_document
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, matter_of_graph
 from derender.physics.intervention import Intervention, Push, intervention, read_add, read_push, read_shake, read_tilt
-from derender.physics.outcome import assumptions, chance_of, outcomes, probability, simulate_scene, summary_of
+from derender.physics.outcome import (
+    assumed_of_draws,
+    assumptions,
+    chance_of,
+    outcomes,
+    probability,
+    row_of,
+    simulate_scene,
+    summary_of,
+)
 from derender.physics.simulate import judge, simulate
 from derender.physics.verdict import settled_graph
 from derender.scene.pose import translation
@@ -91,12 +100,37 @@ def test_a_feather_bears_a_box_and_what_is_assumed_is_said():
     outcome = simulate_scene(matter(FLOOR, low, high))
     assert outcome.stable and outcome.displacement["low"] < 1e-3
     assert "1e-09 kg" in assumptions(outcome.matter)[0]
-    deep = matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.01, 0.05))
-    assert "overlap by 90.0 mm" in assumptions(deep)[0]
     assert "no floor" in assumptions(matter(cube("a", 0, 0.05)))[0]
     assert assumptions(matter(FLOOR, cube("a", 0, 0.05))) == []
     with pytest.raises(DerenderError, match="finite"):
         assumptions(matter(FLOOR, cube("a", 0, np.nan)))
+
+
+@pytest.mark.parametrize("shift", [0.01, 0.085])
+def test_what_no_rigid_bodies_can_be_does_not_stand_whoever_is_asked(shift):
+    """The engine lets solids that overlap rest as they are. A contact's slack, 20 mm of cubes of 100, may be there."""
+    scene = matter(FLOOR, cube("a", 0, 0.05), cube("b", shift, 0.05), cube("c", 0.5, 0.05))
+    possible = shift > 0.08
+    outcome = simulate_scene(scene, engine="both", margin=True)
+    assert set(outcome.by_engine.values()) == ({"stands"} if possible else {"falls"})
+    assert outcome.stable == (simulate_scene(scene, engine="statics").verdict == "stands") == possible
+    assert (outcome.margin > 0) == possible
+    moved = set() if possible else {"a", "b"}
+    assert set(outcome.fallen) == set(simulate_scene(scene, engine="statics").fallen) == moved
+    assert (probability([scene] * 10, "stands", engine="statics").probability > 0.5) == possible
+    said = assumptions(scene)
+    assert possible == (not said) and all("overlap by 90.0 mm" in sentence for sentence in said)
+    row = row_of("deep", summary_of(outcome, [outcome], said))
+    assert (row["stable"], row["assumed"]) == (possible, "; ".join(said))
+    assert possible == (not assumed_of_draws([outcome])) and (possible or "1 of 1" in assumed_of_draws([outcome])[0])
+
+
+def test_what_lies_in_the_hull_of_a_bowl_may_stand():
+    """Only a mesh's hull is known, and what is inside of that need not be inside of it."""
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.05, 0.05)])
+    bowl = Body("bowl", "mesh", np.array([0.2, 0.2, 0.1]), translation(0, 0, 0.05), corners)
+    scene = matter(FLOOR, bowl, cube("apple", 0, 0.06, 0.08), supports=[("bowl", "floor"), ("apple", "bowl")])
+    assert simulate_scene(scene).stable and assumptions(scene) == []
 
 
 def test_a_divergence_is_one_line_and_never_a_verdict():
