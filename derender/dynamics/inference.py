@@ -41,6 +41,9 @@ LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
 ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 80, 50.0, 0.15, 5.0, 1.2
 FEWEST = 0.1
 KEPT = 1000
+# The power of the likelihood below which most of what it says of impacts is chaos: a film that fits by luck lies a
+# dozen nats and more above its neighbours, and where that luck lies is where the numbers would be told.
+CHAOTIC = 0.5
 
 # Of a proposal: a t's centre (D,) and the Cholesky factor (D, D) of its scale.
 Component = tuple[np.ndarray, np.ndarray]
@@ -66,6 +69,7 @@ class Draws(NamedTuple):
     coordinates: np.ndarray  # (K, P)
     logarithms: np.ndarray  # (K, S), of the scales
     log_weights: np.ndarray  # (K,), normalised
+    power: float = 1.0  # to which the likelihood was raised, for it is that rugged
 
     @property
     def effective(self) -> float:
@@ -279,7 +283,7 @@ def sample(
         target = np.concatenate([target, [density(point[:size], point[size:]) for point in fresh]])
         log_weights = target - _mixture(points, rounds, parameters)
     flat, power = _flattened(log_weights)
-    return Draws(_tempered(points[:, :size], np.exp(flat), power, parameters), points[:, size:], flat)
+    return Draws(_tempered(points[:, :size], np.exp(flat), power, parameters), points[:, size:], flat, power)
 
 
 def _flattened(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
@@ -339,7 +343,10 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
     found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
-    untold = np.flatnonzero(~shooting.tells(modes[0].path))  # the density does not depend on these: the prior remains
+    tells = shooting.tells(modes[0].path)
+    if shooting.struck and found.power < CHAOTIC:
+        tells[1:] = False
+    untold = np.flatnonzero(~tells)  # the density does not depend on these, or by chance: the prior remains
     away = np.array([parameters.sample_prior(rng) for _ in found.coordinates])[:, untold] - found.coordinates[:, untold]
     found.coordinates[:, untold] += away
     for number, shift in zip(untold, away.T, strict=True):  # of masses that are told to that of such a one

@@ -113,6 +113,24 @@ def test_a_slide_tells_friction_and_nothing_of_restitution():
 
 
 @pytest.mark.slow
+def test_films_that_fit_by_chance_tell_nothing_of_impacts(monkeypatch):
+    """Of tumbling stacks the density is a smooth one and chaos of some twenty nats; its best draws told restitution."""
+    smooth, rng = inference.target_of, np.random.default_rng(2)
+
+    def rugged(*about):
+        density = smooth(*about)
+        return lambda point, scales: density(point, scales) + chaos(point)
+
+    def chaos(point):
+        return 30 * np.random.default_rng(crc32(point.tobytes())).standard_normal()
+
+    monkeypatch.setattr(inference, "target_of", rugged)
+    answer = Answer(identify(bounce(0.6, rng), rng, draws=30), rng)
+    _, low, high = answer.interval("restitution")
+    assert "restitution" not in answer.told and high - low > 0.7
+
+
+@pytest.mark.slow
 def test_a_bounce_tells_restitution_and_little_of_friction():
     rng = np.random.default_rng(2)
     mean, interval = told(identify(bounce(0.6, rng), rng, draws=50), rng)
