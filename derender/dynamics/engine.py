@@ -51,6 +51,9 @@ ENGINE_FRICTION, ENGINE_RESTITUTION = 0.02, 0.015
 # A resting or sliding contact changes the velocity by at most so many times gravity's share: friction up to 1.1, or a
 # box that rocks as it slides.
 STEADY = 1.5
+# What slides from frame to frame is slowed by all that friction can give, but for where it rocks; what sticks where it
+# lands by less. A slide changes a velocity by more than this share of what gravity does: less is a ball that rolls.
+SLIDES, LEAST_SLIDE = 0.8, 0.02
 # An impulse at half a cube's side from its centre turns it by 3 / side; the mean over a face is 2 / side.
 LEVER = 2.0
 
@@ -162,12 +165,22 @@ class Engine:
             because the cone is convex.
         """
         most = STEADY * float(np.linalg.norm(self.gravity)) * self.interval
-        change = after[..., 7:10] - before[..., 7:10] - self.gravity * self.interval
-        lifted = change @ self._normal
-        across = np.linalg.norm(change - lifted[..., None] * self._normal, axis=-1)
+        change, lifted, across = self._pushed(before, after)
         hit = np.maximum(lifted - most, 0.0)
         struck = np.maximum(across - friction * np.clip(lifted, 0.0, most), 0.0)
         return np.stack([np.hypot(hit, struck), np.minimum(np.linalg.norm(change, axis=-1), most)], axis=-1)
+
+    def slides(self, before: np.ndarray, after: np.ndarray, friction: float) -> np.ndarray:
+        """Return (..., N) bool: whether friction gave a body nearly all that it can between (..., N, 13)."""
+        _, lifted, across = self._pushed(before, after)
+        least = LEAST_SLIDE * float(np.linalg.norm(self.gravity)) * self.interval
+        return (across > SLIDES * friction * lifted) & (across > least)
+
+    def _pushed(self, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return by how much contacts changed velocities (..., N, 3), along the floor's normal and across it, m / s."""
+        change = after[..., 7:10] - before[..., 7:10] - self.gravity * self.interval
+        lifted = change @ self._normal
+        return change, lifted, np.linalg.norm(change - lifted[..., None] * self._normal, axis=-1)
 
     def overlaps(self, states: np.ndarray) -> np.ndarray:
         """Return (N,) metres by which each body should be raised so that it enters nothing below it."""

@@ -41,9 +41,9 @@ LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
 ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 80, 50.0, 0.15, 5.0, 1.2
 FEWEST = 0.1
 KEPT = 1000
-# The power of the likelihood below which most of what it says of impacts is chaos: a film that fits by luck lies a
-# dozen nats and more above its neighbours, and where that luck lies is where the numbers would be told.
-CHAOTIC = 0.5
+# The power of the likelihood below which what it says of impacts is chaos: draws then lie ten nats apart by chance, and
+# where a film fits by luck is where the numbers would be told.
+CHAOTIC = 0.15
 
 # Of a proposal: a t's centre (D,) and the Cholesky factor (D, D) of its scale.
 Component = tuple[np.ndarray, np.ndarray]
@@ -334,6 +334,7 @@ class Identified(NamedTuple):
     parameters: Parameters  # what the coordinates mean
     modes: list[Mode]  # found, the best first
     draws: Draws  # weighted, of coordinates and scales
+    told: np.ndarray  # (P,) bool, which coordinates the film tells; of the others the draws are the prior's
 
 
 def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = None, draws: int = DRAWS) -> Identified:
@@ -343,14 +344,15 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
     found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
-    tells = shooting.tells(modes[0].path)
+    told = shooting.tells(modes[0].path)
+    told[0] = shooting.slides(modes[0].path)
     if shooting.struck and found.power < CHAOTIC:
-        tells[1:] = False
-    untold = np.flatnonzero(~tells)  # the density does not depend on these, or by chance: the prior remains
+        told[1:] = False
+    untold = np.flatnonzero(~told)  # the density does not depend on these, or by chance: the prior remains
     away = np.array([parameters.sample_prior(rng) for _ in found.coordinates])[:, untold] - found.coordinates[:, untold]
     found.coordinates[:, untold] += away
     for number, shift in zip(untold, away.T, strict=True):  # of masses that are told to that of such a one
         if number >= ALWAYS:
             with_it = ALWAYS - 1 + np.flatnonzero(shooting.partner == number - ALWAYS + 1)[1:]
             found.coordinates[:, with_it] += shift[:, None]
-    return Identified(parameters, modes, found)
+    return Identified(parameters, modes, found, told)

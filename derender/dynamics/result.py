@@ -164,7 +164,7 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     """
     engine, seen = (Engine(motion.matter, motion.names, motion.step) for _ in range(2))
     shooting, mode = Shooting(motion, found.parameters, seen), found.modes[0]
-    size, whole, tells = shooting.size, mode.covariance, shooting.tells(mode.path)
+    size, whole = shooting.size, mode.covariance
     gain = whole[:size, size:] @ np.linalg.inv(whole[size:, size:])
     given = whole[:size, :size] - gain @ whole[size:, :size]
     lower = np.linalg.cholesky(given + 1e-12 * np.eye(size))
@@ -172,7 +172,7 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     pairs = zip(*found.draws.resampled(rng, -(-count // 2)), rng.integers(2**63, size=-(-count // 2)), strict=True)
     for (coordinates, logarithms, seed), sign in product(pairs, (1.0, -1.0)):
         normal = partial(_signed_normal, np.random.default_rng(seed), sign)
-        off = np.where(tells, coordinates - mode.path.coordinates, 0.0)
+        off = np.where(found.told, coordinates - mode.path.coordinates, 0.0)
         change = np.concatenate([gain @ off + lower @ normal(size), off])
         try:
             path = shooting.stepped(mode.path, change)

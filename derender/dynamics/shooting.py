@@ -182,6 +182,12 @@ class Shooting(Impacts):
         bounces = not self.apart and (hit or bool(met.any()))
         return np.array([True, bounces, bounces, *met[1:]])
 
+    def slides(self, path: Path) -> bool:
+        """Return whether something slides for a frame: what sticks where it lands, or rolls, only says that friction is
+        great enough, and what it seems to tell is how corners rattle."""
+        friction = self.parameters.material(path.coordinates).friction
+        return self.apart or bool(self.engine.slides(path.states[:-1], path.arrived[1:], friction).any())
+
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""
         change = difference(path.states, self.tracked)[..., :6]

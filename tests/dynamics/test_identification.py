@@ -112,6 +112,22 @@ def test_a_slide_tells_friction_and_nothing_of_restitution():
     assert interval[1, 1] - interval[1, 0] > 0.5
 
 
+def test_only_what_slides_tells_friction():
+    """A box that lands flat and sticks told .34 to .49 of a friction of .27: how its corners rattled."""
+    box = Body("box", "box", np.full(3, 0.1), np.eye(4))
+    engine = Engine(Matter((FLOOR, box), np.array([0, 0, -GRAVITY]), ()), ("box",), STEP)
+    parameters = Parameters(("box",), engine.masses, read_dynamics_prior())
+    for height, speed, slides in ((0.1, 0.1, False), (0.0, 0.8, True)):
+        states = from_poses(translation(0, 0, 0.05 + height)[None])
+        states[:, 7] = speed
+        engine.tell(Material(0.27, 0.3, engine.masses))
+        seen = rolled(engine, states, 12)
+        film = motion(box, seen[:, 0, :3], np.random.default_rng(4))
+        shooting = Shooting(film, parameters, engine)
+        path = shooting.first_path(np.array([np.log(0.27), 0.3, np.log(0.003)]))
+        assert shooting.slides(path) == slides
+
+
 @pytest.mark.slow
 def test_films_that_fit_by_chance_tell_nothing_of_impacts(monkeypatch):
     """Of tumbling stacks the density is a smooth one and chaos of some twenty nats; its best draws told restitution."""
