@@ -55,6 +55,7 @@ WORTHWHILE = 1.0  # nats that this has to gain for the solids to be climbed agai
 PROPPING = 200.0  # nats below the best at which what hangs in the air is not given a support: that costs some too
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
+HOPELESS = 2000.0  # nats below it at which a hot walk ends: of 714 those that were so low ended 850 and more below
 DOUBTFUL = 300.0  # nats below it up to which one climb does not show that a change is to be pruned
 AGAIN = 2  # climbs more of what is that doubtful, and of a changed solid that is not pruned
 QUICK, MOST_PATIENT = 50, 4.0  # steps of each temperature for one changed solid, and times as many at most
@@ -116,7 +117,8 @@ def tried(rng: np.random.Generator, best: Refined, state: State, places: list[in
     with them then: its top is where it shows, and a millimetre lower on a millimetre more is two walks. Not where
     neighbouring pixels share noise: a climb takes five times as long there.
     """
-    climb = partial(at_mode, rng, state, floor_pose_of(best), best.sensor, rules, steps)
+    climb = partial(at_mode, rng, state, floor_pose_of(best), best.sensor, rules, steps,
+                    least=best.log_prior + best.log_likelihood - HOPELESS)  # fmt: skip
     trial = climb(places)
     if best.sensor.worth >= 1.0 and height(best) - DOUBTFUL < height(trial) < height(best) - least:
         above = [k for i in places for k in carried_upright(state, i) if k not in places]
@@ -263,10 +265,9 @@ def climbed(
     rng: np.random.Generator, best: Refined, states: list[State], rules: Rules, steps: int, within: float
 ) -> list[Refined]:
     """Return the Refined of those states whose modes are within so many nats of the best's."""
-    floor = floor_pose_of(best)
-    trials = in_threads(rng, [
-        partial(at_mode, state=new, floor_pose=floor, sensor=best.sensor, rules=rules, steps=steps) for new in states
-    ])  # fmt: skip
+    task = partial(at_mode, floor_pose=floor_pose_of(best), sensor=best.sensor, rules=rules, steps=steps,
+                   least=best.log_prior + best.log_likelihood - HOPELESS)  # fmt: skip
+    trials = in_threads(rng, [partial(task, state=new) for new in states])
     return [trial for trial in trials if height(trial) > height(best) - within]
 
 

@@ -22,6 +22,7 @@ from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
 from derender.structures import alternatives, weighing
 from derender.structures.alternatives import QUICK, from_search, of_one_solid, weighed_whole
+from derender.structures.draws import metropolis
 from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
 from derender.structures.draws.metropolis import log_evidence, sample
 from derender.structures.draws.refined import at_mode, near_evidence
@@ -86,12 +87,39 @@ def test_a_change_whose_first_climb_ended_beside_its_mode_is_climbed_again(monke
     """One that ended 88 nats below the best was pruned, and 4 below it where others ended: the truth was among such."""
     best, below = small_beside_large(), [first, 3.0, 90.0]
 
-    def climb(*given):
+    def climb(*given, **how):
         return best._replace(log_likelihood=best.log_likelihood - below.pop(0))
 
     monkeypatch.setattr(alternatives, "at_mode", climb)
     found = alternatives.tried(np.random.default_rng(8), best, best.state, [1], RULES)
     assert (found is not None) == kept and len(below) == (0 if kept else 2)  # what is hopeless costs one climb
+
+
+def test_a_hot_walk_ends_where_it_is_hopeless_and_goes_on_where_it_comes_nearer(monkeypatch):
+    """Both changes begin tens of thousands of nats below the best, where half of all climbs stayed."""
+    best = mode_of(0.001, (-0.05, 0.0, (0.09,) * 3, True), (0.08, 0.03, (0.06,) * 3, True))
+    least = best.log_prior + best.log_likelihood - alternatives.HOPELESS
+
+    def moved(by):
+        row = best.state.rows[1].copy()
+        row[10] += by
+        return best.state.changed(1, row=row)
+
+    def climbed(by, least):
+        rng = np.random.default_rng(8)
+        return at_mode(rng, moved(by), best.chart.floor, best.sensor, RULES, QUICK, [1], least=least)
+
+    near = alternatives.unclimbed(moved(0.012), best.chart.floor, best.sensor, RULES)
+    assert near.log_prior + near.log_likelihood < least - 2.0 * alternatives.HOPELESS
+    there = climbed(0.012, least)
+    assert there.log_prior + there.log_likelihood > least
+    assert np.array_equal(there.values, climbed(0.012, -np.inf).values)
+
+    def never(*given):
+        raise AssertionError("it went on")
+
+    monkeypatch.setattr(metropolis, "Curvature", never)
+    assert alternatives.tried(np.random.default_rng(8), best, moved(0.2), [1], RULES) is None
 
 
 def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypatch):

@@ -280,16 +280,18 @@ def run(rng: np.random.Generator, walker: Walker, proposals: Proposals, temperat
 
 
 def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor, values: np.ndarray,
-           only: list[int] | None, temperatures: tuple[float, ...],
-           steps: int) -> tuple[np.ndarray, float, float]:  # fmt: skip
+           only: list[int] | None, temperatures: tuple[float, ...], steps: int,
+           least: float = -np.inf) -> tuple[np.ndarray, float, float]:  # fmt: skip
     """Return the best place (D,) found from `values`, which is changed, and its log prior and log likelihood.
 
     The likelihood is let in by and by, then weighs more and more, so that the walk comes to rest at the mode: there
     solids move together as a normal about the place says that has been reached (`curvature.py`).
 
     only : coordinates that may move, None for all. temperatures : below 1, of the likelihood. steps : at each.
+    least : log density without which an end is of no use: a walk that is below it at a temperature, and has come less
+        than halfway there since the last, ends.
     """
-    members = list(range(len(values)) if only is None else only)
+    members, missing = list(range(len(values)) if only is None else only), np.inf
     walker = walker_at(engine, chart, values)
     prior, likelihood = walker.densities.tolist()
     found = [(values.copy(), prior, likelihood)]
@@ -303,13 +305,17 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
             moves = joined(singles, blocks._replace(factors=blocks.factors / np.sqrt(temperature)))
         moves, (draws,) = stretch(rng, [walker], moves, temperature, 0.1, count, APART)
         singles = adapted(singles, moves)
-        if temperature >= 1.0:
+        if temperature < 1.0:
+            before, missing = missing, least - float(draws.densities.sum(axis=1).max())
+            if missing > max(0.5 * before, 0.0):
+                break
+        else:
             best = int(np.argmax(draws.densities.sum(axis=1)))
             found.append((draws.values[best], *map(float, draws.densities[best])))
             if best + 1 < count:
                 values[:] = draws.values[best]
                 walker.densities[:] = load(engine, chart, values)
-    return max(found, key=lambda each: each[1] + each[2])
+    return max([*found, (values, *walker.densities.tolist())], key=lambda each: each[1] + each[2])
 
 
 def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, chains: int, count: int,

@@ -68,23 +68,26 @@ class Refined(NamedTuple):
 
 def at_mode(rng: np.random.Generator, state: State, floor_pose: np.ndarray, sensor: Sensor, rules: Rules,
             steps: int = ANNEALING, only: list[int] | None = None,
-            temperatures: tuple[float, ...] = TEMPERATURES) -> Refined:  # fmt: skip
+            temperatures: tuple[float, ...] = TEMPERATURES, least: float = -np.inf) -> Refined:  # fmt: skip
     """Return the Refined of a state, annealed under a sensor model.
 
-    only : indices of the solids that may move (and the coordinates given by their own), None for all.
+    only : indices of the solids that may move (and the coordinates given by their own), None for all. least : see
+    `ascend`.
     """
     chart, values = make_chart(state, floor_pose, rules)
     if only is not None:
         steps *= len(only)
     return climb(rng, state, chart, values, sensor, steps, None if only is None else members_of(chart, only),
-                 temperatures)  # fmt: skip
+                 temperatures, least)  # fmt: skip
 
 
 def climb(rng: np.random.Generator, state: State, chart: Chart, values: np.ndarray, sensor: Sensor, steps: int,
-          members: list[int] | None = None, temperatures: tuple[float, ...] = TEMPERATURES) -> Refined:  # fmt: skip
+          members: list[int] | None = None, temperatures: tuple[float, ...] = TEMPERATURES,
+          least: float = -np.inf) -> Refined:  # fmt: skip
     """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
     count = max(len(state) if members is None else 1, 1)
-    found = ascend(rng, engine_of(chart, sensor), chart, sensor, values, members, temperatures, steps * count)
+    found = ascend(rng, engine_of(chart, sensor), chart, sensor, values, members, temperatures, steps * count,
+                   least)  # fmt: skip
     return refined_at(state, chart, found[0], sensor, *found[1:])
 
 
