@@ -310,7 +310,9 @@ def noise_map(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> np.n
     close = np.median(z)
     deep = np.clip(np.nan_to_num(depth, nan=close), 0.3 * close, 4.0 * close)
     noise = sigma + growth * deep**2
-    most = np.maximum(SENSOR_SIGMA + SENSOR_GROWTH * deep**2, ROUGHER * local_noise(depth, camera))
+    most = SENSOR_SIGMA + SENSOR_GROWTH * deep**2
+    if (noise > most).any():
+        most = np.maximum(most, ROUGHER * local_noise(depth, camera))
     return np.maximum(np.minimum(noise, most), SUREST)
 
 
