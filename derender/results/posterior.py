@@ -320,6 +320,7 @@ HEADER = {
         "hanging?": [str], "hidden_expected?": {float, None}, "image?": str, "in_doubt?": [str],
         "likelihood?": LIKELIHOOD, "lost_chains?": list, "missed?": float, "noise?": float,
         "other_floors?": [{"probability": float, "plane": (float, float, float, float)}],
+        "short_of_noise?": float,
         "spots?": [(float, float, float, float)],
         "structure_chains?": {"r_hat?": {float, None}, "shares?": [float]},
         "views?": [{"image": str, "pose": [(float, float, float, float)], "explained": float}],

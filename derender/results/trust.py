@@ -43,6 +43,7 @@ APART = 5.0  # nats between the evidences of populations that a few lucky partic
 # answers without a lesser thing .97 were there (106 answers to labelled real frames; .94 of all), of such things .97.
 LEAST_EXISTENCE, SURE_EXISTENCE = 0.6, 0.75
 MOST_NONE, FEW = 1.0, 0.05  # objects, and share of them, of which as many may be expected to be none
+FITS = 4.0  # standard deviations by which noise alone hardly ever leaves an image less likely than others of its scene
 OFF = 0.1  # of an object's length: by less a real sensor tells its place, and what there is (an IoU of .8)
 
 
@@ -120,6 +121,12 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     for view in posterior.meta.get("views", ()):
         if view["explained"] < LEAST_OF_VIEW:
             doubts.append(f"{1.0 - view['explained']:.0%} of {view['image']} is not explained by what all images show")
+    short = posterior.meta.get("short_of_noise", 0.0)
+    if short > FITS:
+        doubts.append(
+            f"the image is {short:.0f} standard deviations less likely than images drawn of the best scene: a better "
+            "one was missed (see --seed), or the sensor is not as the likelihood says"
+        )
     evidence = posterior.best_part.extras.get("log_evidence", [0.0])
     if max(evidence) - min(evidence) > APART:
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")

@@ -30,7 +30,7 @@ from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.results.trust import doubtful, enough_draws
+from derender.results.trust import FITS, doubtful, enough_draws
 from derender.sampling import diagnostics
 from derender.sampling.chains import (
     POPULATIONS,
@@ -69,10 +69,9 @@ LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SMC_PARTICLES, SMC_STEPS = 400, 100
 MOST_TIMES = 4  # the draws that are usual, of chains that go on because they disagree
 # Searches for the mode, at most; nats within which two have ended at the same height, of which walks leave a few open;
-# images drawn of a scene, and standard deviations of their log density, known to a quarter from so many, by which noise
-# alone hardly ever leaves an image below them.
+# images drawn of a scene, from which the spread of their log density is known to a quarter.
 MOST_SEARCHES, AS_HIGH = 4, 10.0
-DRAWN_IMAGES, FITS = 10, 4.0
+DRAWN_IMAGES = 10
 CLIMB_DRAWS = 200  # and as many rounds of warm-up, of chains of which the best draw alone is asked
 
 Progress = Callable[[float, str], None]
@@ -318,7 +317,12 @@ def infer_scene(
         raise KeyboardInterrupt
     total = sum(part.weight for part in parts)
     parts = [part.scaled(1.0 / total) for part in parts]
-    return Result(Posterior(tuple(parts), seed, command), interrupted, lost)
+    posterior = Posterior(tuple(parts), seed, command)
+    best = posterior.best_part
+    target = next(target for target, _ in found if target.template.structure() == best.graph.structure())
+    values = best.values.reshape(-1, best.values.shape[-1])[best.log_density.argmax()]
+    short = short_of_noise(stream(seed, SEARCHES), target, values)
+    return Result(replace(posterior, meta={"short_of_noise": short}), interrupted, lost)
 
 
 def weighted(part: StructurePosterior, one: Candidate) -> StructurePosterior:

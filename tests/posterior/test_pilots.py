@@ -16,9 +16,10 @@ from derender.posterior.kernels.relocate import fitted, seen_place
 from derender.posterior.sampler import MixtureSampler, Population, Settings, Walk
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
+from derender.results.trust import FITS
 from derender.scene.distributions import distributions
 from derender.structures import given
-from derender.structures.given import FITS, short_of_noise
+from derender.structures.given import short_of_noise
 
 
 class Narrow(World):
