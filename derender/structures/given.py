@@ -138,16 +138,56 @@ def candidates(
     rough = np.array(in_threads(rng, [partial(look, target=target, log_prior=prior) for target, prior in found]))
     possible = np.flatnonzero(rough > rough.max() - OUT_OF_THE_QUESTION).tolist()
     samplers: list[MixtureSampler | None] = [None] * len(found)
+    for count, k in enumerate(possible):
+        tell(0.5 + 0.3 * count / len(possible), "searching")
+        target = found[k][0]
+        samplers[k] = sampler_of(target, mixture_of(target, settings), settings).prepared(seed_of(seed, k))
+    possible = searched_again(samplers, found, settings, seed, tell)
     logs, errors = np.full(len(found), -np.inf), np.zeros(len(found))
     for count, k in enumerate(possible):
-        tell(0.5 + 0.5 * count / len(possible), "weighing structures")
-        target, log_prior = found[k]
-        samplers[k] = sampler = sampler_of(target, mixture_of(target, settings), settings).prepared(seed_of(seed, k))
+        tell(0.8 + 0.2 * count / len(possible), "weighing structures")
+        sampler = samplers[k]
+        assert sampler is not None
         integral = integral_of(rng, sampler)
-        logs[k], errors[k] = log_prior + integral.log, integral.standard_error
+        logs[k], errors[k] = found[k][1] + integral.log, integral.standard_error
     weights, spread, intervals = shares(rng, logs, errors)
     return [Candidate(target, samplers[k], float(weights[k]), float(spread[k]), (float(low), float(high)))
             for k, ((target, _), (low, high)) in enumerate(zip(found, intervals, strict=True))]  # fmt: skip
+
+
+def searched_again(
+    samplers: list[MixtureSampler | None], found: list[tuple[SceneTarget, float]], settings: Settings, seed: int,
+    tell: Callable[..., Any],
+) -> list[int]:  # fmt: skip
+    """Return which structures are to be weighed: those with a sampler, where the best scene that one of them found
+    explains the image; else all are searched again, with ever more particles, until two searches end as high.
+
+    A search that ends at a lesser mode rules out the structure that is right.
+    """
+
+    def height_of(k: int) -> float:
+        sampler = samplers[k]
+        return -np.inf if sampler is None else found[k][1] + sampler.height
+
+    rng, former = stream(seed, SEARCHES), -np.inf
+    for number in range(1, MOST_SEARCHES):
+        best = max(range(len(found)), key=height_of)
+        height, sampler = height_of(best), samplers[best]
+        assert sampler is not None and sampler.places is not None
+        fits = settings.population <= 1 or short_of_noise(rng, found[best][0], sampler.places[-1]) < FITS
+        if fits or height - former < AS_HIGH:
+            break
+        former = height
+        for k, (target, _) in enumerate(found):
+            tell(0.8, "searching again")
+            larger = settings._replace(population=settings.population << number - 1)
+            other = sampler_of(target, mixture_of(target, settings), larger).prepared(
+                child_seed(seed, SEARCHES, number, k)
+            )
+            own = samplers[k]
+            samplers[k] = other if own is None or other.height > own.height else own
+    highest = max(map(height_of, range(len(found))))
+    return [k for k in range(len(found)) if height_of(k) > highest - OUT_OF_THE_QUESTION]
 
 
 def integral_of(rng: np.random.Generator, sampler: MixtureSampler) -> Evidence:
