@@ -20,6 +20,7 @@ from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads
 from derender.document import Document, LikelihoodPrior
 from derender.errors import DerenderError
+from derender.posterior.check import short_of_noise
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.evidence import evidence_about
 from derender.posterior.kernels import mixture
@@ -27,8 +28,6 @@ from derender.posterior.kernels.base import Part
 from derender.posterior.sampler import WALKS, MixtureSampler, Settings, tempered
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
-from derender.render.raycast.depth import render_depth
-from derender.render.raycast.evaluator import DepthEvaluator
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import FITS, doubtful, enough_draws
 from derender.sampling import diagnostics
@@ -68,10 +67,8 @@ MOST_STRUCTURES = 64
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SMC_PARTICLES, SMC_STEPS = 400, 100
 MOST_TIMES = 4  # the draws that are usual, of chains that go on because they disagree
-# Searches for the mode, at most; nats within which two have ended at the same height, of which walks leave a few open;
-# images drawn of a scene, from which the spread of their log density is known to a quarter.
+# Searches for the mode, at most; nats within which two have ended at the same height: walks leave a few open.
 MOST_SEARCHES, AS_HIGH = 4, 10.0
-DRAWN_IMAGES = 10
 CLIMB_DRAWS = 200  # and as many rounds of warm-up, of chains of which the best draw alone is asked
 
 Progress = Callable[[float, str], None]
@@ -427,29 +424,6 @@ def searched(sampler: MixtureSampler, seed: int) -> MixtureSampler:
         if same:
             break
     return best
-
-
-def short_of_noise(rng: np.random.Generator, target: SceneTarget, values: np.ndarray) -> float:
-    """Return by how many standard deviations the image is less likely under values (P,) than images drawn of them.
-
-    Where either has no return neither counts: how much of an image returned says nothing of the scene.
-    """
-    named = target.by_address(values)
-    numbers = {**target.images.values, **{address.removeprefix("likelihood."): value
-               for address, value in named.items() if address.startswith("likelihood.")}}  # fmt: skip
-    kind, camera = likelihoods[target.images.type], target.images.camera
-    numbers = kind.complete(numbers)
-    clean, _ = render_depth(target.graph(values).solids(), camera, background=numbers["background"])
-
-    def densities(image: np.ndarray) -> np.ndarray:
-        """Return the log density (H, W) of each pixel, NaN without a return."""
-        evaluator = DepthEvaluator.of_depth(image, clean, kind.name, numbers)
-        evaluator.set_values({})
-        return np.where(np.isfinite(image) & (image > 0.0), evaluator.per_pixel(), np.nan)
-
-    own = densities(target.images.observed)
-    short = [np.nansum(densities(kind.sample(rng, clean, numbers)) - own) for _ in range(DRAWN_IMAGES)]
-    return float(np.mean(short) / np.std(short, ddof=1))
 
 
 def _enough(target: SceneTarget, outcome: Outcome, draws: int) -> int:

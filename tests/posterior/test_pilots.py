@@ -10,6 +10,7 @@ from toy_worlds import World
 from derender import data_path
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.posterior import sampler
+from derender.posterior.check import short_of_noise
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.relocate import fitted, seen_place
@@ -19,7 +20,6 @@ from derender.posterior.target import default_parts
 from derender.results.trust import FITS
 from derender.scene.distributions import distributions
 from derender.structures import given
-from derender.structures.given import short_of_noise
 
 
 class Narrow(World):

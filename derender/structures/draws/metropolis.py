@@ -288,8 +288,7 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
     solids move together as a normal about the place says that has been reached (`curvature.py`).
 
     only : coordinates that may move, None for all. temperatures : below 1, of the likelihood. steps : at each.
-    least : log density without which an end is of no use: a walk that is below it at a temperature, and has come less
-        than halfway there since the last, ends.
+    least : log density that an end has to have: a walk that comes less than halfway there at a temperature ends.
     """
     members, missing = list(range(len(values)) if only is None else only), np.inf
     walker = walker_at(engine, chart, values)
@@ -336,8 +335,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     """
     members = list(range(len(values)) if only is None else only)
     walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
-    blurs = [blurs_about(view, view.clean(chart, values)) if open_blur else ()
-             for view in sensor.views]  # fmt: skip
+    blurs = [blurs_about(view, view.clean(chart, values)) if open_blur else () for view in sensor.views]
     spread = inverse_of(Curvature(walkers[0].engine, chart, sensor, values).precision(members))
     factor = np.linalg.cholesky(spread)
     singles = single_steps(chart, only)
