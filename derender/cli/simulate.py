@@ -103,6 +103,7 @@ def command(
     A scene stands if no body moves by more than a tenth of its size or turns by more than 10 degrees at any time. It
     settles if something does but all comes to rest on what bore it before, the same side up; else it falls. Contacts
     of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
+    Solids that enter each other deeper than that fall, whichever engine is asked, and a line says which.
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
     P(stable) and each object's P(falls), with their Monte Carlo errors. What is said of a folder stands on its page
     too, with animations that lie in it (`derender view`). Several scenes make a table; so do the scenes that -n draws
