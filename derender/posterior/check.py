@@ -30,4 +30,5 @@ def short_of_noise(rng: np.random.Generator, target: SceneTarget, values: np.nda
 
     own = densities(target.images.observed)
     short = [np.nansum(densities(kind.sample(rng, clean, numbers)) - own) for _ in range(DRAWN_IMAGES)]
-    return float(np.mean(short) / np.std(short, ddof=1))
+    spread = np.std(short, ddof=1)
+    return float(np.mean(short) / spread) if spread > 0.0 else 0.0  # none: no pixel has a return

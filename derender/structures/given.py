@@ -9,7 +9,7 @@ and gives it the prior probability of all.
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, cast
@@ -57,8 +57,8 @@ FIRST_DRAWS = 8  # after which a structure that was the only one is
 RULED_OUT = 2_000  # scenes of a structure that break the terms, without one that does not
 PREFERRED = "-z"  # face to rest on of a representative
 PARTICLES, STEPS = 50, 60  # of the population by which a structure is looked at
-# Nats below the likeliest at which a structure has no weight, by such populations: their evidence was up to 15 too low
-# for 9 unknowns, and differed by 2 to 12 from one to the next.
+# Nats below the likeliest at which a structure has no weight: by such populations, whose evidence was up to 15 too low
+# for 9 unknowns, and differed by 2 to 12 from one to the next; and by the heights of walks, which leave out its volume.
 OUT_OF_THE_QUESTION = 60.0
 # Draws of each walk about which a structure is integrated, after so many rounds: about 180 places of the walks that
 # look for modes alone the errors of 9 unknowns' integrals were .3 to 2 nats.
@@ -134,57 +134,19 @@ def candidates(
     tell(0.0, "looking at structures")
     rough = np.array(in_threads(rng, [partial(look, target=target, log_prior=prior) for target, prior in found]))
     possible = np.flatnonzero(rough > rough.max() - OUT_OF_THE_QUESTION).tolist()
-    samplers: list[MixtureSampler | None] = [None] * len(found)
-    for count, k in enumerate(possible):
-        tell(0.5 + 0.3 * count / len(possible), "searching")
-        target = found[k][0]
-        samplers[k] = sampler_of(target, mixture_of(target, settings), settings).prepared(seed_of(seed, k))
-    possible = searched_again(samplers, found, settings, seed, tell)
+    structures = [(sampler_of(target, mixture_of(target, settings), settings), prior) for target, prior in found]
+    samplers = searched(structures, seed, possible,
+                        lambda done: tell(0.5 + 0.3 * min(done / len(possible), 1.0), "searching"))  # fmt: skip
+    heights = np.array([prior + (one.height if one is not None else -np.inf)
+                        for one, (_, prior) in zip(samplers, found, strict=True)])  # fmt: skip
     logs, errors = np.full(len(found), -np.inf), np.zeros(len(found))
-    for count, k in enumerate(possible):
-        tell(0.8 + 0.2 * count / len(possible), "weighing structures")
-        sampler = samplers[k]
-        assert sampler is not None
-        integral = integral_of(rng, sampler)
+    for k in np.flatnonzero(heights > heights.max() - OUT_OF_THE_QUESTION).tolist():
+        tell(0.8, "weighing structures")
+        integral = integral_of(rng, cast(MixtureSampler, samplers[k]))
         logs[k], errors[k] = found[k][1] + integral.log, integral.standard_error
     weights, spread, intervals = shares(rng, logs, errors)
     return [Candidate(target, samplers[k], float(weights[k]), float(spread[k]), (float(low), float(high)))
             for k, ((target, _), (low, high)) in enumerate(zip(found, intervals, strict=True))]  # fmt: skip
-
-
-def searched_again(
-    samplers: list[MixtureSampler | None], found: list[tuple[SceneTarget, float]], settings: Settings, seed: int,
-    tell: Callable[..., Any],
-) -> list[int]:  # fmt: skip
-    """Return which structures are to be weighed: those with a sampler, where the best scene that one of them found
-    explains the image; else all are searched again, with ever more particles, until two searches end as high.
-
-    A search that ends at a lesser mode rules out the structure that is right.
-    """
-
-    def height_of(k: int) -> float:
-        sampler = samplers[k]
-        return -np.inf if sampler is None else found[k][1] + sampler.height
-
-    rng, former = stream(seed, SEARCHES), -np.inf
-    for number in range(1, MOST_SEARCHES):
-        best = max(range(len(found)), key=height_of)
-        height, sampler = height_of(best), samplers[best]
-        assert sampler is not None and sampler.places is not None
-        fits = settings.population <= 1 or short_of_noise(rng, found[best][0], sampler.places[-1]) < FITS
-        if fits or height - former < AS_HIGH:
-            break
-        former = height
-        for k, (target, _) in enumerate(found):
-            tell(0.8, "searching again")
-            larger = settings._replace(population=settings.population << number - 1)
-            other = sampler_of(target, mixture_of(target, settings), larger).prepared(
-                child_seed(seed, SEARCHES, number, k)
-            )
-            own = samplers[k]
-            samplers[k] = other if own is None or other.height > own.height else own
-    highest = max(map(height_of, range(len(found))))
-    return [k for k in range(len(found)) if height_of(k) > highest - OUT_OF_THE_QUESTION]
 
 
 def integral_of(rng: np.random.Generator, sampler: MixtureSampler) -> Evidence:
@@ -389,7 +351,8 @@ def _walk(
         options.resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))
     ):
         tell(0.0, "searching")
-        sampler = searched(sampler, own)
+        (found,) = searched([(sampler, 0.0)], own)
+        sampler = cast(MixtureSampler, found)
     plan = Plan(sampler, own, chains, warmup, draws, place, run, options.resume)
     done = dict.fromkeys(range(chains), 0)
 
@@ -406,22 +369,39 @@ def _walk(
         plan = plan._replace(draws=2 * plan.draws, records=outcome.records)
 
 
-def searched(sampler: MixtureSampler, seed: int) -> MixtureSampler:
-    """Return a sampler with places that walks met: of a search whose scene explains the image as well as its noise
-    lets expect, else of the likeliest of several, with ever more particles, until two end as high.
+def searched(
+    structures: Sequence[tuple[MixtureSampler, float]], seed: int, first: Sequence[int] = (0,),
+    tell: Callable[[int], Any] = lambda done: None,
+) -> list[MixtureSampler | None]:  # fmt: skip
+    """Return the sampler of each structure with the places that walks met; None of those that were not searched.
 
-    Of three cubes that float anywhere one search in two ended thousands of nats below the mode.
+    They are looked for until the likeliest scene explains the image as well as its noise lets expect, or two searches
+    end as high, with ever more particles. Of three cubes that float anywhere one search in two ended thousands of nats
+    below the mode, and one that ends there rules out the structure that is right.
+
+    structures : samplers without places, each with the log of the structure's prior probability. first : numbers of
+    those that are searched; of all, where none of these explains the image. tell : called with how
+    many searches are done.
     """
-    best, rng = sampler.prepared(seed), stream(seed, SEARCHES)
-    for number in range(1, MOST_SEARCHES):
-        assert best.places is not None
-        if sampler.population <= 1 or short_of_noise(rng, sampler.target, best.places[-1]) < FITS:
+    best: list[MixtureSampler | None] = [None] * len(structures)
+    rng, highest, likeliest, done = stream(seed, SEARCHES), -math.inf, structures[first[0]][0], 0
+    for number in range(MOST_SEARCHES):
+        former, ended = highest, -math.inf
+        for k in first if number == 0 else range(len(structures)):
+            tell(done)
+            sampler, log_prior = structures[k]
+            own = child_seed(seed_of(seed, k), SEARCHES, number) if number else seed_of(seed, k)
+            done += 1
+            found = replace(sampler, population=sampler.population << max(number - 1, 0)).prepared(own)
+            height, known = log_prior + found.height, best[k]
+            best[k] = found if known is None or found.height > known.height else known
+            ended = max(ended, height)
+            if height > highest:
+                highest, likeliest = height, found
+        assert likeliest.places is not None
+        if likeliest.population <= 1 or abs(ended - former) < AS_HIGH:
             break
-        larger = replace(sampler, population=sampler.population << number - 1)
-        other = larger.prepared(child_seed(seed, SEARCHES, number))
-        same = abs(other.height - best.height) < AS_HIGH
-        best = max(best, other, key=lambda each: each.height)
-        if same:
+        if short_of_noise(rng, likeliest.target, likeliest.places[-1]) < FITS:
             break
     return best
 

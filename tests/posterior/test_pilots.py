@@ -117,8 +117,32 @@ def test_what_leaves_much_unexplained_is_searched_again(heights, short, ended, a
     monkeypatch.setattr(MixtureSampler, "prepared", prepared)
     monkeypatch.setattr(given, "short_of_noise", lambda rng, target, values: short)
     target = world.target(np.random.default_rng(1), np.array([0.6]))
-    found = given.searched(MixtureSampler(target, mixture(world.space, [{"drift": {}}]), population=8), 3)
+    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), population=8)
+    (found,) = given.searched([(sampler, 0.0)], 3)
     assert found.height == ended and populations == asked
+
+
+@pytest.mark.parametrize(
+    ("fits", "heights", "ended"),
+    [
+        (0, {0: [0.0]}, [0.0, None]),  # what was ruled out at first is not looked at where the rest explains the image
+        (700, {0: [0.0, 1.0], 1: [900.0]}, [1.0, 900.0]),  # and is where nothing does
+        # a search that ends lower is none that found the same
+        (700, {0: [500.0, 20.0, 20.0], 1: [20.0, 700.0]}, [500.0, 700.0]),
+    ],
+)
+def test_structures_are_searched_until_one_explains_the_image(fits, heights, ended, monkeypatch):
+    world, left = two_modes(), {k: iter(each) for k, each in heights.items()}
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    kernels = mixture(world.space, [{"drift": {}}])
+    made = [MixtureSampler(target, kernels, thin=k, population=8) for k in range(2)]
+    monkeypatch.setattr(
+        MixtureSampler, "prepared",
+        lambda self, seed: replace(self, height=(height := next(left[self.thin])), places=np.array([[height]])),
+    )  # fmt: skip
+    monkeypatch.setattr(given, "short_of_noise", lambda rng, target, values: 9.0 if values[0] < fits else 1.0)
+    found = given.searched([(each, 0.0) for each in made], 3)
+    assert [each and each.height for each in found] == ended
 
 
 @pytest.mark.slow
@@ -130,7 +154,7 @@ def test_cubes_that_float_anywhere_are_found():
         truth = world.space.sample(rng)
         target = world.target(rng, truth)
         made = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
-        backend, found = made.backend(), given.searched(made, seed)
+        backend, found = made.backend(), given.searched([(made, 0.0)], seed)[0]
         best = max(sum(backend.evaluate(place)) for place in found.places[::20])
         assert best > sum(backend.evaluate(truth)) - 12.0
 

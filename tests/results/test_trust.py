@@ -7,7 +7,17 @@ import pytest
 
 from derender.report.tables import parameter_rows
 from derender.results.table import probability_text
-from derender.results.trust import Doubt, chain_doubts, doubtful, enough_draws, judgement, limits, trusted, verdict
+from derender.results.trust import (
+    FITS,
+    Doubt,
+    chain_doubts,
+    doubtful,
+    enough_draws,
+    judgement,
+    limits,
+    trusted,
+    verdict,
+)
 
 
 def chains(correlation, draws, rng, count=2):
@@ -106,6 +116,17 @@ def test_what_touches_nothing_is_doubted():
     posterior.meta["hanging"] = ["box_1"]
     (doubt,) = chain_doubts(posterior, [])
     assert doubt.serious and doubt.about == ("box_1",) and "touches nothing" in doubt.words
+
+
+@pytest.mark.parametrize("short", [-2.0, 3.0, 101.0])
+def test_an_image_that_noise_does_not_make_of_the_best_scene_is_doubted(short):
+    """Of seven scenes of open structure two were told with P 1.000 that were others."""
+    posterior = seen_by_a_sensor(0.0)
+    posterior.best_part.values = np.zeros((1, 1, 0))
+    posterior.meta["short_of_noise"] = short
+    told = chain_doubts(posterior, [])
+    assert [doubt.serious for doubt in told] == [True] * (short > FITS)
+    assert all(f"{short:.0f} standard deviations" in doubt.words for doubt in told)
 
 
 def test_of_an_image_without_a_floor_objects_are_trusted_by_themselves():

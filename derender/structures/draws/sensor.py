@@ -94,7 +94,7 @@ class Sensor(NamedTuple):
         return self._replace(likelihood=likelihood, values=numbers, beside=beside)
 
     def clean(self, chart: Chart, values: np.ndarray) -> np.ndarray:
-        """Return the clean depth (H, W) of a chart's solids in the first view, with its likelihood's wall behind."""
+        """Return the clean depth (H, W) of a chart's solids in this view, with its likelihood's wall behind."""
         return model_depth(chart, values, self.camera, self.into, self.values.get("background", BACKGROUND))
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
