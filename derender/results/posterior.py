@@ -32,6 +32,7 @@ from derender.scene.shapes import shapes
 
 FORMAT = 2  # of posterior.npz
 TOLD = ("addresses", "weight", "weight_error", "weight_interval", "periods", "extras")  # of each part, in its header
+DRAWN = ("values", "log_prior", "log_likelihood", "root_pose")  # of each draw of a part, the last where it is unknown
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
 SAME = 1e-9  # metres and radians by which frames that are the same differ, by rounding
 NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
@@ -74,6 +75,11 @@ class StructurePosterior:
         return f"<StructurePosterior of weight {self.weight:.3f}: {', '.join(self.graph.names)}; {drawn}>"
 
     @property
+    def arrays(self) -> dict[str, Any]:
+        """What there is of each draw by name, (chains, draws, ...) float64."""
+        return {name: array for name in DRAWN if (array := getattr(self, name)) is not None}
+
+    @property
     def log_density(self) -> np.ndarray:
         """(chains, draws), log prior plus log likelihood."""
         return self.log_prior + self.log_likelihood
@@ -113,9 +119,7 @@ class StructurePosterior:
 
     def at(self, place: Any) -> "StructurePosterior":
         """Return the part with some draws alone. place : what takes them from arrays (chains, draws, ...)."""
-        root_pose = None if self.root_pose is None else self.root_pose[place]
-        return replace(self, values=self.values[place], log_prior=self.log_prior[place],
-                       log_likelihood=self.log_likelihood[place], root_pose=root_pose)  # fmt: skip
+        return replace(self, **{name: array[place] for name, array in self.arrays.items()})
 
     def scaled(self, share: float, error: float = 0.0) -> "StructurePosterior":
         """Return the same draws with a share of the weight. error : standard error of the share."""
@@ -236,11 +240,7 @@ class Posterior:
         arrays: dict[str, Any] = {}
         headers = []
         for number, part in enumerate(self.parts):
-            arrays[f"values_{number}"] = part.values
-            arrays[f"log_prior_{number}"] = part.log_prior
-            arrays[f"log_likelihood_{number}"] = part.log_likelihood
-            if part.root_pose is not None:
-                arrays[f"root_pose_{number}"] = part.root_pose
+            arrays |= {f"{name}_{number}": array for name, array in part.arrays.items()}
             told = {key: getattr(part, key) for key in TOLD}
             headers.append({"scene": document_text(part.graph), "objects": part.graph.names, **told})
         own = {key: getattr(self, key) for key in ("seed", "command", "version", "meta")}
@@ -269,28 +269,18 @@ def load(path: str | Path) -> Posterior:
                 raise DerenderError(f"{wrong} is not as it should be")
             if "camera" in header["meta"]:
                 Camera(**header["meta"]["camera"])
-            parts = tuple(
-                StructurePosterior(
-                    scene_of(part["scene"], part["objects"]),
-                    tuple(part["addresses"]),
-                    file[f"values_{number}"],
-                    file[f"log_prior_{number}"],
-                    file[f"log_likelihood_{number}"],
-                    part["weight"],
-                    tuple(part["periods"]),
-                    file[f"root_pose_{number}"] if f"root_pose_{number}" in file.files else None,
-                    part["extras"],
-                    part.get("weight_error", 0.0),
-                    None if part.get("weight_interval") is None else tuple(part["weight_interval"]),
-                )
-                for number, part in enumerate(header["parts"])
-            )
+            parts = []
+            for number, part in enumerate(header["parts"]):
+                own: dict[str, Any] = {key: part[key] for key in TOLD if key in part}
+                own = {key: tuple(value) if isinstance(value, list) else value for key, value in own.items()}
+                own |= {name: file[f"{name}_{number}"] for name in DRAWN if f"{name}_{number}" in file.files}
+                parts.append(StructurePosterior(scene_of(part["scene"], part["objects"]), **own))
             check_parts(parts)
     except UNREADABLE as fault:
         reason = f" ({fault.what})" if isinstance(fault, DerenderError) else ""
         what = f"not a posterior written by derender{reason}"
         raise DerenderError(what, path, "give a DIR made by derender infer") from fault
-    return Posterior(parts, header["seed"], header["command"], header["version"], header["meta"])
+    return Posterior(tuple(parts), header["seed"], header["command"], header["version"], header["meta"])
 
 
 def scene_of(text: str, names: Sequence[str]) -> SceneGraph:
@@ -348,17 +338,15 @@ def check_parts(parts: Sequence[Any]) -> None:
         values = part.values
         if values.ndim != 3 or values.shape[2] != unknowns or not values.shape[0] * values.shape[1]:
             raise DerenderError(f"its draws have the shape {values.shape} for {unknowns} unknowns")
-        arrays = [values, part.log_prior, part.log_likelihood]
         if part.log_prior.shape != values.shape[:2] or part.log_likelihood.shape != values.shape[:2]:
             raise DerenderError("its densities are not those of its draws")
         if part.root_pose is not None:
             if part.root_pose.shape != (*values.shape[:2], 4, 4):
                 raise DerenderError("its root's poses are not those of its draws")
-            arrays.append(part.root_pose)
             turns = part.root_pose[..., :3, :3]
             if not np.allclose(turns @ np.moveaxis(turns, -1, -2), np.eye(3), atol=TURNS_SLIP):
                 raise DerenderError("its root's poses are not rigid")
-        for array in arrays:
+        for array in part.arrays.values():
             if array.dtype.kind != "f" or not np.isfinite(array).all():
                 raise DerenderError("it holds numbers that are not finite")
         for address, draws in zip(part.addresses, np.moveaxis(values, -1, 0), strict=True):
@@ -394,17 +382,10 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
             raise DerenderError(f"its structure or unknowns are not those of {names[0]}", name,
                                 "report them one by one")  # fmt: skip
     draws = min(part.values.shape[1] for part in parts)
-    parts = [as_seen_from(first, part) for part in parts]
-    roots = [part.root_pose for part in parts if part.root_pose is not None]
-    joined = replace(
-        first,
-        values=np.concatenate([part.values[:, :draws] for part in parts]),
-        log_prior=np.concatenate([part.log_prior[:, :draws] for part in parts]),
-        log_likelihood=np.concatenate([part.log_likelihood[:, :draws] for part in parts]),
-        root_pose=np.concatenate([pose[:, :draws] for pose in roots]) if len(roots) == len(parts) else None,
-        weight=1.0,
-    )
-    return replace(posteriors[0], parts=(joined,))
+    runs = [as_seen_from(first, part).arrays for part in parts]
+    joined: dict[str, Any] = {name: np.concatenate([run[name][:, :draws] for run in runs])
+              for name in DRAWN if all(name in run for run in runs)}  # fmt: skip
+    return replace(posteriors[0], parts=(replace(first, weight=1.0, **{"root_pose": None, **joined}),))
 
 
 def as_seen_from(first: StructurePosterior, part: StructurePosterior) -> StructurePosterior:
