@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from collections import Counter
 from typing import Any
 
 from derender.errors import DerenderError
@@ -17,30 +18,26 @@ def parse_json(text: str | bytes, where: object = None) -> Any:
     """
     try:
         tree = json.loads(text, object_pairs_hook=_without_duplicates)
+        if _depth(tree) > MOST_DEPTH:
+            raise RecursionError
     except DerenderError as error:
         raise DerenderError(error.what, where, error.remedy) from None
     except RecursionError:
-        raise _too_deep(where) from None
+        raise DerenderError(f"the JSON is nested more than {MOST_DEPTH} deep", where, "write it again") from None
     except ValueError as error:
         raise DerenderError(f"this is not JSON ({error})", where, "write it again") from error
-    level = [tree]
-    for _ in range(MOST_DEPTH):
-        level = [node.values() if isinstance(node, dict) else node for node in level if isinstance(node, dict | list)]
-        level = [item for items in level for item in items]
-        if not level:
-            return tree
-    raise _too_deep(where)
+    return tree
 
 
-def _too_deep(where: object) -> DerenderError:
-    return DerenderError(f"the JSON is nested more than {MOST_DEPTH} deep", where, "write it again")
+def _depth(tree: Any) -> int:
+    inside = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else None
+    return 0 if inside is None else 1 + max(map(_depth, inside), default=0)
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     tree = dict(pairs)
     if len(tree) < len(pairs):
-        seen: set[str] = set()
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        ((twice, _),) = Counter(key for key, _ in pairs).most_common(1)
         raise DerenderError(f"the key {twice!r} stands twice", remedy="keep one of them")
     return tree
 
