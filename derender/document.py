@@ -287,26 +287,18 @@ def root_data(pose: np.ndarray) -> dict[str, Any]:
 
 
 def _shape_data(vertex: "Vertex", folder: Path | None) -> Any:
-    data = {"type": vertex.shape, **vertex.parameters}
-    if "file" in vertex.options:
-        file = vertex.options["file"]
-        data["file"] = os.path.relpath(file, folder) if folder is not None else str(file)
-        if not vertex.options.get("hull", True):
-            data["hull"] = False
-    if vertex.options.get("surface"):
-        data["surface"] = vertex.options["surface"]
-    for key in ("parts", "patch"):
-        if vertex.options.get(key):
-            data[key] = list(vertex.options[key])
+    data: dict[str, Any] = {"type": vertex.shape, **vertex.parameters}
+    for key in shapes[vertex.shape].options:
+        value = vertex.options.get(key)
+        if key == "file" and folder is not None:
+            value = os.path.relpath(vertex.options[key], folder)
+        if value is not None and (key != "hull" or not value):  # a hull is what a mesh has where its file says nothing
+            data[key] = value
     return data if len(data) > 1 else vertex.shape
 
 
 def _contact_data(contact: "Contact") -> dict[str, Any]:
-    data: dict[str, Any] = {"type": contact.type}
-    for key in ("parent_face", "child_face"):
-        if getattr(contact, key) is not None:
-            data[key] = getattr(contact, key)
-    values = dict(contact.values)
+    data, values = {"type": contact.type, **contact.named_faces}, dict(contact.values)
     if any(key in values for key in ROTATION):
         data["position"] = [values.pop(key, 0.0) for key in "xyz"]
         data[QUATERNION] = [values.pop(key, float(key == "qw")) for key in ROTATION]

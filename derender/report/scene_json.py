@@ -1,13 +1,14 @@
 """A scene as JSON: the contract that `show --json` prints and every other command that speaks JSON reuses."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import SceneGraph
 
 
-def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
+def scene_json(graph: SceneGraph, posterior: Posterior | None = None) -> dict[str, Any]:
     """Return the scene in camera axes: objects with type, full extents, pose, parent, contact.
 
     graph : the scene; with a posterior, its most probable one.
@@ -24,19 +25,14 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     objects = []
     for vertex in graph.vertices:
         size = vertex.body.size()
-        contact: dict[str, Any] = {"type": vertex.contact.type}
-        if vertex.contact.parent_face is not None:
-            contact["parent_face"] = vertex.contact.parent_face
-        if vertex.contact.child_face is not None:
-            contact["child_face"] = vertex.contact.child_face
-        contact.update({name: float(value) for name, value in vertex.contact.values.items()})
+        numbers = {name: float(value) for name, value in vertex.contact.values.items()}
         entry: dict[str, Any] = {
             "name": vertex.name,
             "type": vertex.shape,
             "size": None if size is None else [float(side) for side in size],
             "pose": np.asarray(poses[vertex.name], dtype=float).tolist(),
             "parent": vertex.parent,
-            "contact": contact,
+            "contact": {"type": vertex.contact.type, **vertex.contact.named_faces, **numbers},
         }
         if vertex.supports:
             entry["supports"] = list(vertex.supports)
@@ -54,14 +50,11 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     return {"frame": "camera", "gravity": graph.pull().tolist(), "objects": objects, **judged}
 
 
-if TYPE_CHECKING:
-    from derender.results.posterior import Posterior, StructurePosterior
-
 INSIDE = 0.9  # probability of an interval
 EVERY = 400  # draws of a structure from which a size's range is told, at most
 
 
-def size_intervals(posterior: "Posterior") -> dict[str, list[list[float]] | None]:
+def size_intervals(posterior: Posterior) -> dict[str, list[list[float]] | None]:
     """Return the 90 % interval of each full extent of each object of the most probable scene, along its own axes.
 
     A structure's draws count with its weight; those without the object say nothing. None for what has no size; the size
@@ -85,7 +78,7 @@ def size_intervals(posterior: "Posterior") -> dict[str, list[list[float]] | None
     return found
 
 
-def _sizes(part: "StructurePosterior", name: str) -> np.ndarray | None:
+def _sizes(part: StructurePosterior, name: str) -> np.ndarray | None:
     """Return the full extents (n, 3) of an object in some draws of a structure, evenly spread; None for no extent."""
     vertex = part.graph.vertex(name)
     size = vertex.body.size()

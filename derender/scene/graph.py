@@ -49,6 +49,12 @@ class Contact:
         assert self.parent_face is not None and self.child_face is not None, self.type
         return self.parent_face, self.child_face
 
+    @property
+    def named_faces(self) -> dict[str, Any]:
+        """Those that it has, by the keys of files and JSON."""
+        faces = {"parent_face": self.parent_face, "child_face": self.child_face}
+        return {key: face for key, face in faces.items() if face is not None}
+
 
 @dataclass(frozen=True)
 class Vertex:
@@ -161,7 +167,7 @@ class Constraint:
 
     first: str
     second: str
-    type: str = "does-not-touch"  # "does-not-touch"
+    type: str = "does-not-touch"
     margin: float = 0.0  # metres that must be left between their surfaces
 
 
