@@ -1,6 +1,5 @@
 """The scene graph of Definition 2.1: a tree of solids, each placed on its parent by a contact; poses by Eq. 1."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,18 +15,11 @@ from derender.scene.pose import inverse
 from derender.scene.shapes import Body, shapes
 from derender.scene.solids import MESH, Solids
 
-NAME = re.compile(r"[^\W_][\w -]{0,63}")  # of an object: a part of an address, safe to print
-RESERVED = ("root", "likelihood", "camera")  # that addresses begin with besides objects
 ROOT = "root"
 
 # What is left of a slack number after a pose went through matrices: below this it is none.
 ROUNDING = 1e-11
 RADIUS = 0.1  # metres at which the angles of what has no extent count
-
-
-def is_name(name: object) -> bool:
-    """Return whether this may name an object."""
-    return isinstance(name, str) and NAME.fullmatch(name) is not None and name not in RESERVED
 
 
 @dataclass(frozen=True)
@@ -105,6 +97,8 @@ def nearest_contact(
     """Return the contact of one type that is nearest to the (4, 4) pose of child in parent, and its residuals.
 
     Among the faces not given those win that need the least slack, an angle counting as its arc at the child's radius.
+
+    Raises DerenderError : the two shapes have no such contact.
     """
     kind = contacts[type]
     reach = child.size()
@@ -297,16 +291,12 @@ class SceneGraph:
 
     def degrees_of_freedom(self) -> int:
         """Return the number of continuous contact parameters: 15 and 24 for Figure 3. Slack counts where not zero."""
-        return sum(self.freedom(vertex.name) for vertex in self.vertices)
-
-    def freedom(self, name: str) -> int:
-        """Return the number of continuous contact parameters of one vertex."""
-        vertex = self.vertex(name)
-        contact = contacts[vertex.contact.type]
-        if hasattr(contact, "degrees_of_freedom"):
-            return contact.degrees_of_freedom
-        values = vertex.contact.values
-        return sum(not p.slack or values.get(p.name, 0.0) != 0.0 for p in self.contact_parameters(name))
+        total = 0
+        for vertex in self.vertices:
+            values = vertex.contact.values
+            free = sum(not p.slack or values.get(p.name, 0.0) != 0.0 for p in self.contact_parameters(vertex.name))
+            total += getattr(contacts[vertex.contact.type], "degrees_of_freedom", free)
+        return total
 
     def contact_parameters(self, name: str) -> tuple[Parameter, ...]:
         """Return the parameters of a vertex's contact with its parent, in their order."""
@@ -374,9 +364,6 @@ class SceneGraph:
     def nearest_contact(
         self, name: str, parent: str, type: str, parent_face: str | None = None, child_face: str | None = None
     ) -> tuple[Contact, Inverse]:
-        """Return the contact of a vertex with another parent that is nearest to their poses, and its residuals.
-
-        Faces not given are those that need the least slack. DerenderError where the two shapes have no such contact.
-        """
+        """Return the contact of a vertex with another parent that is nearest to their poses: `nearest_contact`."""
         relative = inverse(self._poses[parent]) @ self._poses[name]
         return nearest_contact(relative, self.body(parent), self.body(name), type, parent_face, child_face)

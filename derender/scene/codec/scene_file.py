@@ -6,6 +6,7 @@ A file whose numbers are all fixed is a prior with one scene. Open-universe prio
 """
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from derender.registry import Registry, suggest
 from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
-from derender.scene.graph import STANDARD_GRAVITY, is_name
+from derender.scene.graph import STANDARD_GRAVITY
 from derender.scene.pose import from_quaternion
 from derender.scene.priors.bare_image import BareImagePrior, MayTip, read_loose
 from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
@@ -103,6 +104,8 @@ def read_offspring(section: Section) -> dict[str, Any]:
 
 KEYS = ("root", "gravity", "objects", "structure", "shapes", "contacts", "constraints")
 MOST_OBJECTS = 2000
+NAME = re.compile(r"[^\W_][\w -]{0,63}")  # of an object: a part of an address, safe to print
+RESERVED = ("root", "likelihood", "camera")  # that addresses begin with besides objects
 
 
 def read_prior(top: Section, folder: Path) -> Prior:
@@ -160,7 +163,7 @@ def with_supports(prior: TreePrior) -> TreePrior:
 
 def check_name(name: str, node: Node) -> None:
     """Refuse a name that would not fit an address."""
-    if not is_name(name):
+    if not NAME.fullmatch(name) or name in RESERVED:
         raise node.fault(f"{name!r} cannot name an object", "use letters, digits, - and _, beginning with a letter")
 
 
