@@ -41,7 +41,7 @@ from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.priors.terms import sum_of_terms, table_of
 from derender.scene.priors.tree import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
-from derender.scene.shapes.kinds import box_feature
+from derender.scene.shapes.base import box_feature
 from derender.scene.solids import MESH
 
 if TYPE_CHECKING:

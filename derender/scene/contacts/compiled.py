@@ -13,8 +13,7 @@ from derender.compilation.cache import njit
 from derender.scene.polygon import offset_from_uv, uv_from_offset
 from derender.scene.pose import quaternion_numbers, rotation_numbers
 from derender.scene.shapes import shapes
-from derender.scene.shapes.base import FACE_NAMES
-from derender.scene.shapes.kinds import CORNER_NAMES, EDGE_NAMES, box_feature, signs_of
+from derender.scene.shapes.base import CORNER_NAMES, EDGE_NAMES, FACE_NAMES, box_feature, signs_of
 from derender.scene.solids import CYLINDER, PLANE, SPHERE
 
 FRAME = -1

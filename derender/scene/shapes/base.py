@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,6 +16,11 @@ shapes: Registry["Shape"] = Registry("shape", "derender.shapes")
 
 AXES = "xyz"
 FACE_NAMES = ("+x", "-x", "+y", "-y", "+z", "-z")
+# An edge is named by the two faces that meet in it, a corner by the three: "+x-z", "+x+y-z".
+EDGE_NAMES = tuple(
+    f"{first}{AXES[i]}{second}{AXES[j]}" for i, j in ((0, 1), (0, 2), (1, 2)) for first, second in product("+-", "+-")
+)
+CORNER_NAMES = tuple(f"{x}x{y}y{z}z" for x, y, z in product("+-", "+-", "+-"))
 SIDES = tuple(Parameter(name, "m", 0.0, math.inf) for name in ("length", "width", "height"))
 
 Psi = Sequence[float] | np.ndarray
@@ -64,8 +70,8 @@ class Shape:
 
     Object axes: origin at the centre of the solid, axes along its box, z along a cylinder's axis. `psi` is the (P,)
     array of the values of `parameters`, in their order; `options` is what else a file may say, such as a mesh's file.
-    A subclass needs `parameters` and `mesh`; its extents are its first three numbers, and the faces that it names those
-    of its box, where it says nothing else.
+    A subclass needs `parameters` and `mesh`; its extents are its first three numbers, and the faces, edges and corners
+    that it names those of its box, where it says nothing else.
     """
 
     name: str = ""
@@ -84,7 +90,7 @@ class Shape:
 
     def size(self, psi: Psi, options: Options = NONE) -> np.ndarray | None:
         """Return the (3,) full extents in metres along the object axes, or None without extent."""
-        return np.array(psi[:3], dtype=float)
+        return np.array(psi[:3], dtype=float) if self.bounded else None
 
     def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
         """Return the (P,) parameters whose extents are nearest to the (3,) `size`."""
@@ -92,9 +98,10 @@ class Shape:
 
     def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         """Return the feature called `name`; DerenderError if the shape has none such."""
-        if name not in self.face_names:
-            raise self.no_such_face(name)
-        return box_face(name, self.size(psi, options))
+        if name not in self.feature_names():
+            raise DerenderError(f"a {self.name} has no face {name!r}", remedy=suggest(name, self.feature_names()))
+        size = self.size(psi, options)
+        return box_feature(name, np.zeros(3) if size is None else size)
 
     def face_order(self, name: str) -> float:
         """Return how many rotations about the face's normal leave the solid as it is; inf for any angle."""
@@ -133,10 +140,6 @@ class Shape:
                 remedy = f"it must be above {parameter.lower:g} and below {parameter.upper:g}"
                 raise DerenderError(what, where, remedy)
 
-    def no_such_face(self, name: object) -> DerenderError:
-        """Return the error that says which features there are."""
-        return DerenderError(f"a {self.name} has no face {name!r}", remedy=suggest(name, self.feature_names()))
-
 
 class Body(NamedTuple):
     """A shape with its numbers: what a contact needs to know of each of the two solids."""
@@ -174,3 +177,50 @@ def box_face(name: str, size: Any) -> Face:
     frame[axis, 3] = 0.5 * sign * size[axis]
     frame[3, 3] = 1.0
     return Face(frame, Outline(float(size[following]), float(size[last])))
+
+
+def signs_of(name: str) -> np.ndarray:
+    """Return the (3,) signs that a face's, edge's or corner's name gives: "+x-z" is (1, 0, -1)."""
+    signs = np.zeros(3)
+    for sign, axis in zip(name[::2], name[1::2], strict=True):
+        signs[AXES.index(axis)] = 1.0 if sign == "+" else -1.0
+    return signs
+
+
+def box_edge(name: str, size: np.ndarray) -> Face:
+    """Return an edge of the box: x along it, z the normal of the second of its cyclic faces.
+
+    With the edge along axis k and i = k + 1, j = k + 2 (cyclic): z = s_i e_i, x = s_i s_j e_k, so that turning the
+    frame about x by `lean` in [0, pi/2] carries z from the face on axis i to the face on axis j.
+    """
+    signs = signs_of(name)
+    k = int(np.flatnonzero(signs == 0.0)[0])
+    i, j = (k + 1) % 3, (k + 2) % 3
+    frame = np.zeros((4, 4))
+    frame[k, 0] = signs[i] * signs[j]
+    frame[j, 1] = -signs[j]
+    frame[i, 2] = signs[i]
+    frame[:3, 3] = 0.5 * signs * size
+    frame[3, 3] = 1.0
+    return Face(frame, Outline(float(size[k]), 0.0))
+
+
+def box_feature(name: str, size: Any) -> Face:
+    """Return the face, edge or corner called `name` of the box with extents `size` (3,).
+
+    The frame of a corner has its origin there and the object's axes.
+    """
+    if name in FACE_NAMES:
+        return box_face(name, size)
+    if name in EDGE_NAMES:
+        return box_edge(name, size)
+    frame = np.eye(4)
+    frame[:3, 3] = 0.5 * signs_of(name) * size
+    return Face(frame, POINT)
+
+
+def mesh_of(vertices: Any, triangles: Any) -> Any:
+    """Return vertices (V, 3) and triangles (T, 3) as they are as a trimesh.Trimesh."""
+    import trimesh
+
+    return trimesh.Trimesh(vertices, triangles, process=False)

@@ -9,7 +9,8 @@ from derender.errors import DerenderError
 from derender.registry import Parameter
 from derender.scene.pose import from_axes, rotation_z
 from derender.scene.shapes.base import (
-    AXES,
+    CORNER_NAMES,
+    EDGE_NAMES,
     FACE_NAMES,
     NONE,
     POINT,
@@ -22,15 +23,11 @@ from derender.scene.shapes.base import (
     Shape,
     Symmetry,
     box_face,
+    mesh_of,
     shapes,
 )
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 
-# An edge is named by the two faces that meet in it, a corner by the three: "+x-z", "+x+y-z".
-EDGE_NAMES = tuple(
-    f"{first}{AXES[i]}{second}{AXES[j]}" for i, j in ((0, 1), (0, 2), (1, 2)) for first, second in product("+-", "+-")
-)
-CORNER_NAMES = tuple(f"{x}x{y}y{z}z" for x, y, z in product("+-", "+-", "+-"))
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # (8, 3), of the box with sides of one metre
 CORNERS.flags.writeable = False
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # counter-clockwise
@@ -40,46 +37,6 @@ def box_mesh(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (8, 3) and triangles (12, 3) of a box about the origin, counter-clockwise from outside."""
     triangles = [(a, b, c) for a, b, c, _ in QUADS] + [(a, c, d) for a, _, c, d in QUADS]
     return CORNERS * size, np.array(triangles, dtype=np.int32)
-
-
-def signs_of(name: str) -> np.ndarray:
-    """Return the (3,) signs that a face's, edge's or corner's name gives: "+x-z" is (1, 0, -1)."""
-    signs = np.zeros(3)
-    for sign, axis in zip(name[::2], name[1::2], strict=True):
-        signs[AXES.index(axis)] = 1.0 if sign == "+" else -1.0
-    return signs
-
-
-def box_edge(name: str, size: np.ndarray) -> Face:
-    """Return an edge of the box: x along it, z the normal of the second of its cyclic faces.
-
-    With the edge along axis k and i = k + 1, j = k + 2 (cyclic): z = s_i e_i, x = s_i s_j e_k, so that turning the
-    frame about x by `lean` in [0, pi/2] carries z from the face on axis i to the face on axis j.
-    """
-    signs = signs_of(name)
-    k = int(np.flatnonzero(signs == 0.0)[0])
-    i, j = (k + 1) % 3, (k + 2) % 3
-    frame = np.zeros((4, 4))
-    frame[k, 0] = signs[i] * signs[j]
-    frame[j, 1] = -signs[j]
-    frame[i, 2] = signs[i]
-    frame[:3, 3] = 0.5 * signs * size
-    frame[3, 3] = 1.0
-    return Face(frame, Outline(float(size[k]), 0.0))
-
-
-def box_corner(name: str, size: np.ndarray) -> Face:
-    """Return a corner of the box: the origin of its frame is there, its axes are the object's."""
-    frame = np.eye(4)
-    frame[:3, 3] = 0.5 * signs_of(name) * size
-    return Face(frame, POINT)
-
-
-def box_feature(name: str, size: Any) -> Face:
-    """Return the face, edge or corner called `name` of the box with extents `size` (3,)."""
-    if name in FACE_NAMES:
-        return box_face(name, size)
-    return box_edge(name, size) if name in EDGE_NAMES else box_corner(name, size)
 
 
 HALF_TURNS = np.stack([np.eye(3), np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])])
@@ -107,11 +64,6 @@ class Rectangular(Shape):
     face_names = FACE_NAMES
     edge_names = EDGE_NAMES
     corner_names = CORNER_NAMES
-
-    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
-        if name not in self.feature_names():
-            raise self.no_such_face(name)
-        return box_feature(name, self.size(psi))
 
     def mesh(self, psi: Psi, options: Options = NONE) -> Any:
         import trimesh
@@ -172,8 +124,6 @@ class OpenBox(Shape):
         return 2 if name in ("+z", "-z") else 1
 
     def mesh(self, psi: Psi, options: Options = NONE) -> Any:
-        import trimesh
-
         *size, wall = (float(value) for value in psi)
         outer, inner = 0.5 * np.array(size[:2]), 0.5 * np.array(size[:2]) - wall
         low, high = -0.5 * size[2], 0.5 * size[2]
@@ -185,7 +135,7 @@ class OpenBox(Shape):
             for k in range(4):
                 a, b = ring + k, ring + (k + 1) % 4
                 triangles += [(a, b, b + 4), (a, b + 4, a + 4)]
-        return trimesh.Trimesh(vertices, np.array(triangles), process=False)
+        return mesh_of(vertices, np.array(triangles))
 
     def convex_parts(self, psi: Psi, options: Options = NONE) -> tuple[np.ndarray, ...]:
         length, width, height, wall = (float(value) for value in psi)
@@ -207,22 +157,26 @@ SECTIONS = 128  # of the mesh: its sagitta is 0.03 % of the radius
 RADIUS, HEIGHT = (Parameter(name, "m", 0.0, np.inf) for name in ("radius", "height"))
 
 
+class Round(Shape):
+    """What cylinder and frustum share: extents by radius and height, two flat faces."""
+
+    face_names = ("+z", "-z")
+
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
+        return np.array([2.0 * psi[0], 2.0 * psi[0], psi[1]], dtype=float)
+
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
+        return np.array([0.25 * (size[0] + size[1]), size[2]], dtype=float)
+
+
 @shapes.register("cylinder")
-class Cylinder(Shape):
+class Cylinder(Round):
     """A cylinder about its z axis, by radius and height; it stands on +z or -z, or lies on its side."""
 
     parameters = (RADIUS, HEIGHT)
     solid_kind = CYLINDER
-    face_names = ("+z", "-z")
     side_names = ("side",)
     symmetry = Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")
-
-    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
-        radius, height = psi
-        return np.array([2.0 * radius, 2.0 * radius, height], dtype=float)
-
-    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
-        return np.array([0.25 * (size[0] + size[1]), size[2]], dtype=float)
 
     def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         radius, height = float(psi[0]), float(psi[1])
@@ -256,9 +210,7 @@ class Sphere(Shape):
         return np.array([0.5 * float(np.mean(size))])
 
     def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
-        if name not in self.point_names:
-            raise self.no_such_face(name)
-        return Face(np.eye(4), POINT, float(psi[0]))
+        return Face(np.eye(4), POINT, float(psi[0])) if name in self.point_names else super().face(name, psi)
 
     def mesh(self, psi: Psi, options: Options = NONE) -> Any:
         import trimesh
@@ -266,24 +218,23 @@ class Sphere(Shape):
         return trimesh.creation.icosphere(subdivisions=4, radius=float(psi[0]))
 
 
+TAPER = 0.5  # of a file that says none
+
+
 @shapes.register("frustum")
-class Frustum(Shape):
+class Frustum(Round):
     """A round solid about its z axis, by the radius of its wide end -z, its height, and the radius of +z over that.
 
     A `taper` of 0.01 is a cone and 0.99 nearly a cylinder; a cup, which widens upwards, stands on its +z.
     """
 
-    parameters = (RADIUS, HEIGHT, Parameter("taper", "", 0.0, 1.0, 0.5))
+    parameters = (RADIUS, HEIGHT, Parameter("taper", "", 0.0, 1.0, TAPER))
     form_parameters = ("taper",)
-    face_names = ("+z", "-z")
     order = np.inf
     symmetry = Symmetry(np.eye(3)[None], "z")
 
-    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
-        return np.array([2.0 * psi[0], 2.0 * psi[0], psi[1]], dtype=float)
-
     def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
-        return np.array([0.25 * (size[0] + size[1]), size[2], self.parameters[2].default], dtype=float)
+        return np.append(super().psi_from_size(size), TAPER)
 
     def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         radius = float(psi[0]) * (1.0 if name == "-z" else float(psi[2]))
@@ -303,9 +254,6 @@ class Frame(Shape):
 
     solid_kind = None
     bounded = False
-
-    def size(self, psi: Psi = (), options: Options = NONE) -> None:
-        return None
 
     def mesh(self, psi: Psi = (), options: Options = NONE) -> Any:
         import trimesh
@@ -350,17 +298,9 @@ class Plane(Shape):
             remedy = "write [x, y, length, width, turn] in metres and radians, length and width above 0"
             raise DerenderError("the patch of the plane is none", where, remedy)
 
-    def size(self, psi: Psi = (), options: Options = NONE) -> None:
-        return None
-
     def face(self, name: str, psi: Psi = (), options: Options = NONE) -> Face:
-        if name not in self.face_names:
-            raise self.no_such_face(name)
-        return Face(box_face(name, (0.0, 0.0, 0.0)).frame, UNBOUNDED)
+        return super().face(name, psi, options)._replace(outline=UNBOUNDED)
 
     def mesh(self, psi: Psi = (), options: Options = NONE) -> Any:
-        import trimesh
-
         half = DRAWN_SIDE / 2
-        corners = [[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]]
-        return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+        return mesh_of([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], [[0, 1, 2], [0, 2, 3]])

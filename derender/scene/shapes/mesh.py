@@ -20,7 +20,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.registry import Parameter, suggest
 from derender.scene.pose import from_quaternion
-from derender.scene.shapes.base import FACE_NAMES, NONE, SIDES, Options, Psi, Shape, shapes
+from derender.scene.shapes.base import FACE_NAMES, NONE, SIDES, Options, Psi, Shape, mesh_of, shapes
 from derender.scene.shapes.kinds import ROTATIONS, box_mesh
 
 MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
@@ -140,10 +140,8 @@ class Scaled(Shape):
         return np.array([float(np.cbrt(np.prod(np.asarray(size) / self.load(options).extents)))])
 
     def mesh(self, psi: Psi, options: Options = NONE) -> Any:
-        import trimesh
-
         loaded = self.load(options)
-        return trimesh.Trimesh(float(psi[0]) * loaded.vertices, loaded.triangles, process=False)
+        return mesh_of(float(psi[0]) * loaded.vertices, loaded.triangles)
 
     def drawn_mesh(self, psi: Psi, options: Options = NONE) -> Any:
         loaded = self.load(options)
@@ -312,10 +310,8 @@ class Thing(Shape):
         return decode_surface(str(text)) if text else box_mesh(np.ones(3))
 
     def mesh(self, psi: Psi, options: Options = NONE) -> Any:
-        import trimesh
-
         vertices, triangles = self.surface(options)
-        return trimesh.Trimesh(vertices * np.asarray(psi, float), triangles, process=False)
+        return mesh_of(vertices * np.asarray(psi, float), triangles)
 
     def drawn_mesh(self, psi: Psi, options: Options = NONE) -> Any:
         return ("thing", options.get("surface")), self.surface(options)
