@@ -1,7 +1,6 @@
 """What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from derender.document import Document
     from derender.results.posterior import Posterior
     from derender.scene.graph import SceneGraph
+    from derender.scene.priors.tree import Prior
 
 
 class Found(NamedTuple):
@@ -23,16 +23,34 @@ class Found(NamedTuple):
 
     name: str  # of the scene, for titles and files
     graph: "SceneGraph"  # the scene; of a posterior its most probable one, of a prior the first drawn
-    camera: "Camera | None"  # or None
-    draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"  # draws(rng, count) yields that many scenes
-    uncertain: bool = False  # whether draws differ
-    posterior: "Posterior | None" = None  # or None
+    camera: "Camera | None"
+    prior: "Prior | None" = None  # where the scene was drawn from one
+    posterior: "Posterior | None" = None
     likelihood: Mapping[str, Any] = {}  # its numbers by name, {} where there is none
 
     @property
     def missed(self) -> float:
         """See `Posterior.missed`."""
         return 0.0 if self.posterior is None else self.posterior.missed
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether draws differ."""
+        from derender.scene.priors.reading import is_drawn
+
+        if self.posterior is not None:
+            return len(self.posterior.parts) > 1 or self.posterior.best_part.log_density.size > 1
+        return self.prior is not None or any(is_drawn(vertex.options) for vertex in self.graph.vertices)
+
+    def draws(self, rng: "np.random.Generator", count: int) -> "Iterator[SceneGraph]":
+        """Return so many scenes, one by one."""
+        from derender.scene.priors.reading import with_drawn_matter
+
+        if self.posterior is not None:
+            return self.posterior.each_graph(rng, count)
+        if (prior := self.prior) is None:
+            return repeat(self.graph, count)
+        return (with_drawn_matter(prior.sample(rng), rng) for _ in range(count))
 
 
 def read_scene_document(path: str) -> "Document":
@@ -74,7 +92,7 @@ def read_scene(path: str, seed: int | None = None) -> Found:
 
     from derender.document import read_prior_document
     from derender.report.contents import likelihood_numbers
-    from derender.scene.priors.reading import is_drawn, with_drawn_matter
+    from derender.scene.priors.reading import with_drawn_matter
 
     folder = Path(path)
     name = "scene" if path == "-" else folder.resolve().name if folder.is_dir() else folder.stem
@@ -84,20 +102,12 @@ def read_scene(path: str, seed: int | None = None) -> Found:
         from derender.results.posterior import load
 
         posterior = load(folder)
-        uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
-        return Found(name, posterior.best_graph(), document.camera, posterior.each_graph, uncertain, posterior,
-                     likelihood_numbers(document.likelihood))  # fmt: skip
-    prior = document.prior
+        numbers = likelihood_numbers(document.likelihood)
+        return Found(name, posterior.best_graph(), document.camera, None, posterior, numbers)
     if seed is not None and not document.is_scene:
-
-        def drawn(rng: np.random.Generator, count: int) -> "Iterator[SceneGraph]":
-            return (with_drawn_matter(prior.sample(rng), rng) for _ in range(count))
-
-        return Found(name, next(drawn(np.random.default_rng(seed), 1)), document.camera, drawn, True)
-    graph = document.graph
-    uncertain = any(is_drawn(vertex.options) for vertex in graph.vertices)
-    numbers = likelihood_numbers(document.likelihood)
-    return Found(name, graph, document.camera, partial(_again_and_again, graph), uncertain, None, numbers)
+        rng = np.random.default_rng(seed)
+        return Found(name, with_drawn_matter(document.prior.sample(rng), rng), document.camera, document.prior)
+    return Found(name, document.graph, document.camera, likelihood=likelihood_numbers(document.likelihood))
 
 
 def drawn_scenes(path: str, count: int, seed: int) -> "Iterator[Found]":
@@ -114,11 +124,7 @@ def drawn_scenes(path: str, count: int, seed: int) -> "Iterator[Found]":
         raise DerenderError("this is a scene, not a prior: nothing is drawn", path, "leave out -n")
     for number, drawn in enumerate(draw_documents(document, count, seed, {})):
         name = f"{'prior' if path == '-' else folder.stem}/{sample_name(number, count)}"
-        yield Found(name, drawn.graph, drawn.camera, partial(_again_and_again, drawn.graph))
-
-
-def _again_and_again(graph: "SceneGraph", rng: "np.random.Generator", count: int) -> "Iterator[SceneGraph]":
-    return repeat(graph, count)
+        yield Found(name, drawn.graph, drawn.camera)
 
 
 def sample_name(number: int, count: int) -> str:

@@ -1,9 +1,9 @@
 """derender simulate: let physics act on a scene, or on the draws of a posterior or a prior."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,10 @@ import click
 from derender import __version__
 from derender.cli import options
 from derender.cli.options import Talk
-from derender.cli.reading import drawn_scenes, read_scene, scene_paths
+from derender.cli.reading import Found, drawn_scenes, read_scene, scene_paths
 from derender.errors import DerenderError, Idle
 
 if TYPE_CHECKING:
-    from derender.cli.reading import Found
     from derender.physics.intervention import Intervention
 
 ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
@@ -181,7 +180,7 @@ def _keep(folder: Path, text: str, talk: Talk) -> None:
         talk.warn(f"the page will not tell of it: {error}")
 
 
-def _one(source: "Found", what, ask, margin: bool, forces: bool, talk: Talk):
+def _one(source: Found, what, ask, margin: bool, forces: bool, talk: Talk):
     """Return the summary of a scene, and the outcome of the most probable one."""
     import numpy as np
 
@@ -204,20 +203,6 @@ def _one(source: "Found", what, ask, margin: bool, forces: bool, talk: Talk):
     return summary_of(best, runs, assumed, source.missed), best
 
 
-def _sources(paths: Sequence[str], count: int | None, seed: int) -> "Iterator[tuple[str, Callable[[], Found]]]":
-    """Yield the name of each scene and what reads it; of priors, with a count, of each scene that is drawn."""
-    for path in paths:
-        if count is None:
-            yield path, partial(read_scene, path, seed)
-        else:
-            for found in drawn_scenes(path, count, seed):
-                yield found.name, partial(_itself, found)
-
-
-def _itself(found: "Found") -> "Found":
-    return found
-
-
 def _table(
     paths: list[str],
     count: int | None,
@@ -235,10 +220,14 @@ def _table(
     from derender.results.table import as_csv, as_lines
 
     rows = []
-    sources = _sources(paths, count, ask["seed"])
-    for name, read in talk.counted(sources, len(paths) * (count or 1), "simulating scene"):
+    sources: Iterable[tuple[str, Found | None]] = ((path, None) for path in paths)
+    if count is not None:
+        drawn = chain.from_iterable(drawn_scenes(path, count, ask["seed"]) for path in paths)
+        sources = ((found.name, found) for found in drawn)
+    for name, found in talk.counted(sources, len(paths) * (count or 1), "simulating scene"):
         try:
-            rows.append(row_of(name, _one(read(), what, ask, margin or as_json, False, Talk(-1))[0]))
+            found = found or read_scene(name, ask["seed"])
+            rows.append(row_of(name, _one(found, what, ask, margin or as_json, False, Talk(-1))[0]))
         except DerenderError as error:
             talk.warn(f"{name}: {error}")
             rows.append(row_of(name, {"fault": str(error)}))
@@ -310,7 +299,7 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
         raise DerenderError(what, output, f"give a name that ends in {' or '.join(wanted)}")
 
 
-def _animate(path: str, source: "Found", best: Any, talk: Talk) -> None:
+def _animate(path: str, source: Found, best: Any, talk: Talk) -> None:
     from derender.camera.intrinsics import Camera
     from derender.report.animation import animate
 
