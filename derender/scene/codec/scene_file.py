@@ -134,11 +134,8 @@ def read_prior(top: Section, folder: Path) -> Prior:
         check_name(name, node)
         entry = read_shape(node, folder, ("weight", *PHYSICAL), name)
         weight = node["weight"].number(lower=0.0, upper=1e6) if isinstance(node, Section) and "weight" in node else 1.0
-        options = {**entry.options, **read_physical(node)}
-        kinds[name] = type(entry)(entry.type, entry.values, options, weight)
-    rules: tuple[ContactRule, ...] = ()
-    for name, node in top["contacts"].section().items():
-        rules += read_rules(node, name)
+        kinds[name] = replace(entry, options={**entry.options, **read_physical(node)}, weight=weight)
+    rules = tuple(rule for name, node in top["contacts"].section().items() for rule in read_rules(node, name))
     with at_fault(section.where):
         return structures[kind].read(section, Parts(root, objects, kinds, ContactPrior(rules), terms))
 
@@ -182,16 +179,13 @@ def read_root(node: Node | None) -> RootPrior:
             raise section["distance"].fault("the distance is not positive", "give a distance above 0, such as 0.8")
         span = (elevation, elevation) if isinstance(elevation, float) else elevation.support
         if not -math.pi / 2 <= span[0] <= span[1] <= math.pi / 2:
-            raise section["elevation"].fault(
-                "the elevation leaves [-90 deg, 90 deg]", "use uniform or truncated-normal"
-            )
+            what = "the elevation leaves [-90 deg, 90 deg]"
+            raise section["elevation"].fault(what, "use uniform or truncated-normal")
         rest = [read_value(section[key], "rad") if key in section else 0.0 for key in ("azimuth", "roll")]
         return LookedAtRoot(distance, elevation, *rest)
     section.allow("position", QUATERNION, "pose", *LookedAtRoot.KEYS)
-    zero = (0.0, 0.0, 0.0)
-    position = (
-        tuple(read_value(item, "m") for item in section["position"].sequence(3)) if "position" in section else zero
-    )
+    places = section["position"].sequence(3) if "position" in section else ()
+    position = tuple(read_value(item, "m") for item in places) or (0.0, 0.0, 0.0)
     rotation = read_rotation(section[QUATERNION]) if QUATERNION in section else (1.0, 0.0, 0.0, 0.0)
     if isinstance(rotation, tuple) and all(isinstance(x, float) for x in position):
         return FixedRoot(from_quaternion(rotation, position))
@@ -243,7 +237,7 @@ def _read_object(name: str, node: Section, kinds: dict[str, str], folder: Path) 
         raise node.fault("the contact is missing", "add contact: {type: face-to-face, ...}")
     contact = _read_contact(node.get("contact"), [kinds[each] for each in parents], shape.type, node)
     supports = tuple(item.text(others) for item in node["supports"].sequence()) if "supports" in node else ()
-    return TreeObject(name, type(shape)(shape.type, shape.values, options), contact, parent, supports, node)
+    return TreeObject(name, replace(shape, options=options), contact, parent, supports, node)
 
 
 def _read_contact(node: Node | None, parents: list[str], child: str, place: Section) -> ContactPrior:
@@ -281,9 +275,7 @@ def _on_rules(section: Section, parents: list[str], child: str) -> tuple[Contact
     """Read `on`: every exact contact by which the child can rest on the parent's top is as likely as another."""
     rules = []
     for rule in read_rules(section, fill=True):
-        counts = [
-            sum(1 for pair in contacts[rule.type].choices(shapes[parent], shapes[child]) if pair[0] == "+z")
-            for parent in parents
-        ]
+        pairs = [contacts[rule.type].choices(shapes[parent], shapes[child]) for parent in parents]
+        counts = [sum(on == "+z" for on, _ in each) for each in pairs]
         rules.append(replace(rule, weight=float(max(1, *counts, 1))))
     return tuple(rules)

@@ -93,11 +93,8 @@ class GrammarPrior(OpenPrior):
         """Return the distribution of a child's kind on a parent's shape type and upward face; None if none fits."""
         key = (parent_shape, top)
         if key not in self._kinds:
-            weights = {
-                kind: entry.weight
-                for kind, entry in self.shapes.items()
-                if self.contacts.choices(parent_shape, entry.type, top) is not None
-            }
+            there = {kind: self.contacts.choices(parent_shape, entry.type, top) for kind, entry in self.shapes.items()}
+            weights = {kind: self.shapes[kind].weight for kind, found in there.items() if found is not None}
             self._kinds[key] = Categorical(weights) if any(weights.values()) else None
         return self._kinds[key]
 
@@ -124,15 +121,10 @@ class GrammarPrior(OpenPrior):
 
     def _first_tops(self, kind: str) -> set[str | None]:
         """Return the faces that a kind can turn up when it grows on the root or on a base object."""
-        tops: set[str | None] = set()
-        seats = [("frame", None)] + [
-            (item.shape.type, face) for item in self.base for face in (None, *shapes[item.shape.type].face_names)
-        ]
-        for shape, top in seats:
-            found = self.contacts.choices(shape, self.shapes[kind].type, top)
-            if found is not None:
-                tops |= {top_face(self.shapes[kind].type, choice[0], choice[2]) for choice in found[0].choices}
-        return tops
+        own, kinds = self.shapes[kind].type, [item.shape.type for item in self.base]
+        seats = [("frame", None), *((shape, face) for shape in kinds for face in (None, *shapes[shape].face_names))]
+        found = [self.contacts.choices(shape, own, top) for shape, top in seats]
+        return {top_face(own, choice[0], choice[2]) for each in found if each is not None for choice in each[0].choices}
 
     def _mean_row(self, kind: str, top: str | None) -> dict:
         shape = self.shapes[kind].type
@@ -141,11 +133,10 @@ class GrammarPrior(OpenPrior):
         if count is None or count.mean() == 0:
             return row
         for child, probability in self.kinds(shape, top).probabilities.items():  # type: ignore[union-attr]
-            choice_of = self.contacts.choices(shape, self.shapes[child].type, top)[0]  # type: ignore[index]
+            own = self.shapes[child].type
+            choice_of = self.contacts.choices(shape, own, top)[0]  # type: ignore[index]
             for choice, share in choice_of.probabilities.items():
-                row[child, top_face(self.shapes[child].type, choice[0], choice[2])] += (
-                    count.mean() * probability * share
-                )
+                row[child, top_face(own, choice[0], choice[2])] += count.mean() * probability * share
         return row
 
     def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
@@ -165,9 +156,8 @@ class GrammarPrior(OpenPrior):
                 vertices[grown] = draw_vertex(rng, grown, self.shapes[child], self.contacts, name, shape, top)
                 waiting.append((grown, child))
             if len(vertices) > MOST_OBJECTS:
-                raise fault(
-                    None, f"the prior drew more than {MOST_OBJECTS} objects", "lower the numbers under offspring"
-                )
+                what = f"the prior drew more than {MOST_OBJECTS} objects"
+                raise fault(None, what, "lower the numbers under offspring")
         return SceneGraph(root_pose=root_pose, vertices=tuple(vertices.values()))
 
     def unconstrained_log_density(self, graph: SceneGraph) -> float:
@@ -225,8 +215,8 @@ class Algorithm1Prior(OpenPrior):
     root: RootPrior  # prior on z_root, which Eq. 4 does not cover; its log density is added.
     shapes: Mapping[str, ShapePrior]  # the finite set S by name, each as likely
     contacts: ContactPrior  # p_{s,t}(c) and p_c(phi); under the root only `6dof` counts
-    mean_parents: float  # lambda_1 and lambda_2
-    mean_children: float  # lambda_1 and lambda_2
+    mean_parents: float  # lambda_1
+    mean_children: float  # lambda_2
     constraints: tuple[Term, ...] = ()
     tree: TreePrior = field(init=False, repr=False, compare=False)  # of the bare root
     _parents: Distribution = field(init=False, repr=False, compare=False)
@@ -257,17 +247,16 @@ class Algorithm1Prior(OpenPrior):
                 break
         entries = list(self.shapes.values())
         vertices: dict[str, Vertex] = {}
-        for i in range(parents):
-            self._add(rng, vertices, f"parent_{i + 1}", entries, ROOT)
-        for j in range(children):
-            self._add(rng, vertices, f"child_{j + 1}", entries, f"parent_{1 + int(parents * rng.random())}")
-        return SceneGraph(root_pose=self.root.sample(rng), vertices=tuple(vertices.values()))
 
-    def _add(
-        self, rng: np.random.Generator, vertices: dict[str, Vertex], name: str, entries: list[ShapePrior], parent: str
-    ) -> None:
-        entry = entries[int(len(entries) * rng.random())]
-        vertices[name] = draw_vertex(rng, name, entry, self.contacts, parent, *seat(vertices, parent))
+        def add(name: str, parent: str) -> None:
+            entry = entries[int(len(entries) * rng.random())]
+            vertices[name] = draw_vertex(rng, name, entry, self.contacts, parent, *seat(vertices, parent))
+
+        for i in range(parents):
+            add(f"parent_{i + 1}", ROOT)
+        for j in range(children):
+            add(f"child_{j + 1}", f"parent_{1 + int(parents * rng.random())}")
+        return SceneGraph(root_pose=self.root.sample(rng), vertices=tuple(vertices.values()))
 
     def unconstrained_log_density(self, graph: SceneGraph) -> float:
         """Return Eq. 4, plus the log density of the root's pose."""

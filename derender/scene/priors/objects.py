@@ -75,12 +75,11 @@ def _interval(parameter: Parameter, strict: bool) -> str:
 
 def default_value(parameter: Parameter) -> Value | None:
     """Return the uniform distribution over a parameter's range or period; None where that is unbounded."""
+    lower, upper = parameter.lower, parameter.upper
     if parameter.period is not None:
-        lower = parameter.lower if math.isfinite(parameter.lower) else 0.0
-        return distributions["uniform"](lower, lower + parameter.period)  # type: ignore[return-value]
-    if math.isfinite(parameter.lower) and math.isfinite(parameter.upper):
-        return distributions["uniform"](parameter.lower, parameter.upper)  # type: ignore[return-value]
-    return None
+        lower = lower if math.isfinite(lower) else 0.0
+        upper = lower + parameter.period
+    return distributions["uniform"](lower, upper) if math.isfinite(lower) and math.isfinite(upper) else None
 
 
 def fault(place: Node | None, what: str, remedy: str | None = None) -> DerenderError:
@@ -194,9 +193,8 @@ class ContactRule:
 
     def choices(self, parent: str, child: str, top: str | None) -> dict[tuple[Any, Any], float]:
         """Return the probability of each (parent face, child face) for two shape types; empty where none fits."""
-        if (self.parents is not None and parent not in self.parents) or (
-            self.children is not None and child not in self.children
-        ):
+        limits = ((self.parents, parent), (self.children, child))
+        if any(types is not None and kind not in types for types, kind in limits):
             return {}
         weights = {}
         for parent_face, child_face in contacts[self.type].choices(shapes[parent], shapes[child]):
@@ -215,7 +213,8 @@ class ContactRule:
             place = self.places.get(parameter.name, self.places.get(""))
             if parameter.name in ROTATION:
                 if parameter.name == ROTATION[0]:
-                    rows.append((QUATERNION, self._rotation()))
+                    usual = distributions["uniform-rotation"]() if self.fill else (1.0, 0.0, 0.0, 0.0)
+                    rows.append((QUATERNION, self.values.get(QUATERNION, usual)))
                 continue
             value = self.values.get(parameter.name)
             if value is None:
@@ -228,12 +227,6 @@ class ContactRule:
             check_range(value, parameter, place)
             rows.append((parameter.name, value))
         return tuple(rows)
-
-    def _rotation(self) -> Any:
-        value = self.values.get(QUATERNION)
-        if value is None:
-            return distributions["uniform-rotation"]() if self.fill else (1.0, 0.0, 0.0, 0.0)
-        return value
 
 
 def _face_weight(wanted: Any, face: Any, top: str | None) -> float:
@@ -265,11 +258,9 @@ class ContactPrior:
     def choices(self, parent: str, child: str, top: str | None = None) -> tuple[Categorical, dict] | None:
         """Return p_{s,t}(c), and each c's parameter table; c = (type, parent face, child face). None: C is empty."""
         key = (parent, child, top)
-        try:
-            return self._compiled[key]
-        except KeyError:
-            self._compiled[key] = result = self._compile(parent, child, top)
-            return result
+        if key not in self._compiled:
+            self._compiled[key] = self._compile(parent, child, top)
+        return self._compiled[key]
 
     def _compile(self, parent: str, child: str, top: str | None) -> tuple[Categorical, dict] | None:
         weights: dict[tuple, float] = {}
@@ -322,12 +313,8 @@ class ContactPrior:
                 count += 4
                 total += _rotation_density(value, quat)
             else:
-                x = values.get(name)
-                if x is None:
-                    x = 0.0
-                else:
-                    count += 1
-                total += log_density(value, x)
+                count += name in values
+                total += log_density(value, values.get(name, 0.0))
         if count != len(values):  # a number beyond the table must be ideal slack
             named = {name for name, _ in found[1][choice]}
             if any(x != 0.0 and name not in named and name not in ROTATION for name, x in values.items()):

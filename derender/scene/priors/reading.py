@@ -171,23 +171,11 @@ def read_rules(node: Node, name: str | None = None, fill: bool = True) -> tuple[
         raise node.fault(f"no contact is called {kind!r}", suggest(kind, [*contacts, ON]) + ", or give its type")
     values, places = read_contact_values(node, kind, ("type", "weight", "parents", "children"))
     parents, children = (_names(node.get(key)) for key in ("parents", "children"))
-    kinds = RESTING if kind == ON else (kind,)
     weight = node["weight"].number(lower=0.0, upper=1e6) if "weight" in node else 1.0
-    parent_face = read_face(node.get("parent_face"))
-    return tuple(
-        ContactRule(
-            type=each,
-            weight=weight,
-            parent_face=TOP if kind == ON and parent_face is None else parent_face,
-            child_face=read_face(node.get("child_face")),
-            values=values,
-            parents=parents,
-            children=children,
-            fill=fill,
-            places={**places, "": node},
-        )
-        for each in kinds
-    )
+    on, by = (read_face(node.get(key)) for key in ("parent_face", "child_face"))
+    on = TOP if kind == ON and on is None else on
+    rule = ContactRule(kind, weight, on, by, values, parents, children, fill, {**places, "": node})
+    return tuple(replace(rule, type=each) for each in RESTING) if kind == ON else (rule,)
 
 
 def _names(node: Node | None) -> tuple[str, ...] | None:

@@ -260,30 +260,32 @@ class TreePrior(Prior):
         """Build every contact table once, so that faults show when the file is read and not at the third draw."""
         tops: dict[str, set] = {ROOT: {None}}
         for item in self.objects:
-            tops[item.name] = set()
+            tops[item.name], own = set(), item.shape.type
             for parent in item.parents:
-                shape = "frame" if parent == ROOT else self.by_name[parent].shape.type
+                shape = self.shape_of(parent)
                 for top in tops[parent]:
-                    found = item.contact.choices(shape, item.shape.type, top)
+                    found = item.contact.choices(shape, own, top)
                     if found is None:
                         wanted = " or ".join(sorted({rule.type for rule in item.contact.rules}))
-                        what = f"no {wanted} contact with these faces holds a {item.shape.type} on a {shape}"
-                        raise fault(item.place, what, _remedy(parent, shape, item.shape.type))
-                    for choice in found[0].choices:
-                        tops[item.name].add(top_face(item.shape.type, choice[0], choice[2]))
+                        what = f"no {wanted} contact with these faces holds a {own} on a {shape}"
+                        can = [name for name in contacts if contacts[name].choices(shapes[shape], shapes[own])]
+                        never = f"nothing holds it on {parent}: choose another parent"
+                        raise fault(item.place, what, f"on {parent} it can have {', '.join(can)}" if can else never)
+                    tops[item.name] |= {top_face(own, choice[0], choice[2]) for choice in found[0].choices}
+
+    def shape_of(self, name: str) -> str:
+        """Return the shape type of an object or the root."""
+        return "frame" if name == ROOT else self.by_name[name].shape.type
 
     @property
     def fixed(self) -> bool:
         """Whether there is nothing left to choose: the prior is one scene."""
-        graph_free = all(
+        return not self.root.free_addresses() and all(
             not isinstance(item.parent, Categorical)
             and not item.shape.free()
-            and item.contact.fixed(
-                "frame" if item.parent == ROOT else self.by_name[item.parent].shape.type, item.shape.type
-            )
+            and item.contact.fixed(self.shape_of(item.parent), item.shape.type)
             for item in self.objects
         )
-        return graph_free and not self.root.free_addresses()
 
     def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
         root_pose = self.root.sample(rng)
@@ -353,13 +355,3 @@ def vertex_addresses(
     for key, value in contact.free(vertex.contact, parent_shape, vertex.shape, top).items():
         free[f"{name}.contact.{key}"] = value
     return free
-
-
-def _remedy(parent: str, parent_shape: str, shape: str) -> str:
-    """Name the contacts that there are between two shape types."""
-    possible = [name for name in contacts if list(contacts[name].choices(shapes[parent_shape], shapes[shape]))]
-    return (
-        f"on {parent} it can have {', '.join(possible)}"
-        if possible
-        else f"nothing holds it on {parent}: choose another parent"
-    )
