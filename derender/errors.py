@@ -10,8 +10,6 @@ LONGEST = 400  # characters of each part of an error's line: names and paths of 
 class DerenderError(Exception):
     """A fault in what the user gave: printed as one line, exit status 1.
 
-    Parameters
-    ----------
     what : what is wrong, as a sentence without a full stop.
     where : the file, line or address at fault.
     remedy : what would be right, or what to do.

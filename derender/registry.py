@@ -22,8 +22,6 @@ T = TypeVar("T")
 class Parameter(NamedTuple):
     """A continuous parameter of a registered type.
 
-    Attributes
-    ----------
     name : key in scene files and last part of its address (``theta``).
     unit : "m", "rad" or "" for a pure number.
     lower, upper : range of meaningful values; a file outside it is at fault.
@@ -45,8 +43,6 @@ class Parameter(NamedTuple):
 class Registry(Generic[T]):
     """Names to types of one kind.
 
-    Parameters
-    ----------
     kind : what the entries are, in the singular ("shape"), for error messages.
     entry_point_group : group in which other packages announce theirs ("derender.shapes");
         each entry point is a module or object whose import registers it.

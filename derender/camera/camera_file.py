@@ -12,8 +12,9 @@ import codecs
 import contextlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -113,7 +114,7 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
     """Return the camera that a loaded JSON or YAML tree describes; see `read_camera`."""
     for _ in range(4):  # wrappers are at most a few deep
         if not isinstance(tree, dict) or not tree:
-            raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy")
+            break
         form = next((form for form in FORMATS if form.fits(tree)), None)
         if form is not None:
             arguments = _arguments(tree, form, shape)
@@ -218,10 +219,7 @@ def _unwrap(tree: dict, frame: str | None) -> object:
     """Return the part of a tree that holds the camera."""
     if "CalibrationInformation" in tree:
         what = "this is the raw calibration of an Azure Kinect, whose depth image has lens distortion"
-        remedy = (
-            "give the intrinsics that Open3D's azure_kinect_mkv_reader writes, or the 3 x 3 matrix of the "
-            "undistorted image"
-        )
+        remedy = "give those that Open3D's azure_kinect_mkv_reader writes, or the matrix of the undistorted image"
         raise DerenderError(what, "camera", remedy)
     sockets = tree.get("cameraData")
     if isinstance(sockets, list) and sockets:  # of an OAK, whose rectified image has no distortion any more
@@ -242,7 +240,7 @@ def _unwrap(tree: dict, frame: str | None) -> object:
             return next(iter(frames.values()))
         names = ", ".join(list(frames)[:5]) + (", ..." if len(frames) > 5 else "")
         raise DerenderError("the frames have different cameras", remedy=f"name the image after one of {names}")
-    lacking = [key for key in ("fx", "fy", "cx", "cy") if key not in tree]
+    lacking = [key for key in Format().numbers if key not in tree]
     if len(lacking) < 4:
         raise DerenderError("this is not a whole camera", remedy="add " + " and ".join(lacking))
     known = ", ".join(sorted(map(str, tree))[:8])
@@ -300,22 +298,13 @@ def load_tree(
                 if not isinstance(error.__cause__, ValueError):  # else it is YAML in flow style
                     raise
         loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-        _refuse_deep(yaml.parse(text, loader))
+        steps = (isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+                 for event in yaml.parse(text, loader))  # fmt: skip
+        if max(accumulate(steps), default=0) > MOST_DEPTH:  # building its tree would recurse, in C, without a limit
+            raise ValueError
         return next(iter(yaml.load_all(text, loader)))  # `rostopic echo` separates messages by ---
     except (yaml.YAMLError, RecursionError, StopIteration, *DAMAGE):
         raise DerenderError("neither JSON nor YAML", path, remedy) from None
-
-
-def _refuse_deep(events: Iterator[Any]) -> None:
-    """Raise ValueError where YAML is nested too deep: building its tree would recurse, in C, without a limit."""
-    from yaml import events as yaml_events
-
-    depth = 0
-    for event in events:
-        depth += isinstance(event, yaml_events.CollectionStartEvent)
-        depth -= isinstance(event, yaml_events.CollectionEndEvent)
-        if depth > MOST_DEPTH:
-            raise ValueError
 
 
 FARTHEST = 1e6  # metres from the first camera: numbers with more digits than that tell no millimetres

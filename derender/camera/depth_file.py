@@ -92,8 +92,6 @@ def read_depth(
 
     Raises DerenderError : anything that makes the image unusable, in one line.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from derender import read_depth
     >>> image = read_depth(np.full((48, 64), 900, np.uint16), camera={"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5})

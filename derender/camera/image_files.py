@@ -7,6 +7,7 @@ import contextlib
 import io
 import json
 import logging
+import math
 import os
 import struct
 import sys
@@ -28,10 +29,7 @@ from derender.json_text import parse_json
 def read_bytes(path: str | Path, most: int, what: str, remedy: str) -> bytes:
     """Return the bytes of a file, `-` for stdin.
 
-    Raises
-    ------
-    DerenderError : it cannot be read (`what` says of it what it is, `remedy` what to do), has more than `most` bytes,
-        or none.
+    Raises DerenderError : it cannot be read (`what` says what it is, `remedy` what to do), has over `most` bytes, or none.
     """
     try:
         if str(path) == "-":
@@ -194,9 +192,7 @@ def _load_npy(data: bytes) -> np.ndarray:
     shape, _fortran, dtype = header(stream)
     if dtype.hasobject:
         raise DerenderError(f"the array holds Python objects ({dtype})", remedy="save it as float32 metres")
-    count = 1
-    for length in shape:
-        count *= length
+    count = math.prod(shape)
     if count * dtype.itemsize > len(data) - stream.tell():
         raise ValueError(f"{count} numbers announced, fewer there")
     stream.seek(0)

@@ -22,8 +22,6 @@ MOST_PIXELS = 2**28
 class Camera:
     """A pinhole camera without distortion.
 
-    Attributes
-    ----------
     fx, fy : focal lengths in pixels, positive.
     cx, cy : principal point in pixels; the centre of the first pixel is (0, 0).
     width, height : of the image, in pixels.
@@ -31,12 +29,8 @@ class Camera:
     gravity : direction in which things fall, (3,) in camera axes (x right, y down, z forward), of length 1; None where
         nobody measured it.
 
-    Raises
-    ------
-    DerenderError : a number that no camera has.
+    Raises DerenderError : a number that no camera has.
 
-    Examples
-    --------
     >>> from derender import Camera
     >>> camera = Camera(fx=150, fy=150, cx=79.5, cy=59.5, width=160, height=120)
     >>> Camera.from_matrix(camera.matrix, 160, 120) == camera
@@ -132,15 +126,9 @@ class Camera:
         factor : 1 / n makes n x n samples of each pixel, whose mean is the pixel.
         """
         offset = (factor - 1) / 2
-        return replace(
-            self,
-            fx=self.fx / factor,
-            fy=self.fy / factor,
-            cx=(self.cx - offset) / factor,
-            cy=(self.cy - offset) / factor,
-            width=int(self.width / factor + 1e-9),  # 160 / (1 / 5) is a little less than 800
-            height=int(self.height / factor + 1e-9),
-        )
+        width, height = (int(pixels / factor + 1e-9) for pixels in (self.width, self.height))  # 160 / (1 / 5) < 800
+        cx, cy = ((centre - offset) / factor for centre in (self.cx, self.cy))
+        return replace(self, fx=self.fx / factor, fy=self.fy / factor, cx=cx, cy=cy, width=width, height=height)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys of a BOP camera.json, and `gravity` where it is known."""

@@ -41,8 +41,6 @@ def njit(function: Callable | None = None, *, cache: bool = False, borrows: bool
 class Kernel:
     """A function that is compiled for the types of its arguments when it is first called with such.
 
-    Attributes
-    ----------
     py_func : the Python function; targetoptions : of numba.njit. numba asks for both by these names.
     cache : whether versions are kept in files.
     """
