@@ -29,7 +29,7 @@ from derender.json_text import parse_json
 def read_bytes(path: str | Path, most: int, what: str, remedy: str) -> bytes:
     """Return the bytes of a file, `-` for stdin.
 
-    Raises DerenderError : it cannot be read (`what` says what it is, `remedy` what to do), has over `most` bytes, or none.
+    Raises DerenderError : it cannot be read (`what` says what it is, `remedy` what to do), is too large or empty.
     """
     try:
         if str(path) == "-":

@@ -71,9 +71,8 @@ def intersection_volume(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
     corners = [corners_of(a), corners_of(b)]
     centre = corners[0].mean(axis=0)
     reach = float(np.linalg.norm(np.vstack(corners) - centre, axis=1).max())  # so that Qhull sees lengths of about one
-    if np.any(corners[0].max(axis=0) < corners[1].min(axis=0)) or np.any(
-        corners[1].max(axis=0) < corners[0].min(axis=0)
-    ):
+    (low, high), (other_low, other_high) = ((each.min(axis=0), each.max(axis=0)) for each in corners)
+    if np.any(high < other_low) or np.any(other_high < low):
         return 0.0
     planes = np.vstack([ConvexHull((each - centre) / reach).equations for each in corners])  # n . x + c <= 0
     bounds = [(None, None)] * 3 + [(0.0, None)]

@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.evaluation.convex import distance_to_surface, intersection_over_union, surface_points
+from derender.scene.pose import rotation_angle
 from derender.scene.shapes.kinds import ROTATIONS
 
 if TYPE_CHECKING:
@@ -53,11 +54,8 @@ def assign(overlap: np.ndarray, threshold: float) -> list[tuple[int, int]]:
     # One more pair outweighs any difference in overlap.
     value = np.where(overlap >= threshold, 1 + min(overlap.shape) + overlap, 0.0)
     rows, columns = linear_sum_assignment(value, maximize=True)
-    return [
-        (int(row), int(column))
-        for row, column in zip(rows, columns, strict=True)
-        if overlap[row, column] >= threshold and overlap[row, column] > 0
-    ]
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return [pair for pair in pairs if overlap[pair] >= threshold and overlap[pair] > 0]
 
 
 def match_planes(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, str]:
@@ -102,12 +100,8 @@ def edges_of(scene: Mapping[str, Any]) -> set[tuple[str, str]] | None:
     solids = solids_of(scene)
     if solids and not any("parent" in item for item in solids):
         return None
-    edges = set()
-    for item in solids:
-        for parent in (item.get("parent"), *item.get("supports", ())):
-            if parent is not None and parent != ROOT:
-                edges.add((item["name"], parent))
-    return edges
+    bearers = ((item["name"], parent) for item in solids for parent in (item.get("parent"), *item.get("supports", ())))
+    return {(name, parent) for name, parent in bearers if parent not in (None, ROOT)}
 
 
 def relabellings(size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -142,11 +136,11 @@ def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any])
         size = size_p - size_t
     elif kinds == {"mesh"}:
         same = np.asarray(truth.get("symmetries", [np.eye(3)]), float)
-        rotation, size = min(_angle(pose_p[:3, :3], pose_t[:3, :3] @ turn) for turn in same), size_p - size_t
+        rotation, size = min(rotation_angle(pose_p, pose_t[:3, :3] @ turn) for turn in same), size_p - size_t
     else:
         best = min(relabellings(size_p), key=lambda way: _corner_gap(pose_p, way, pose_t, size_t))
         size = best[1] - size_t
-        rotation = _angle(pose_p[:3, :3] @ best[0], pose_t[:3, :3]) if kinds == {"box"} else None
+        rotation = rotation_angle(pose_p[:3, :3] @ best[0], pose_t) if kinds == {"box"} else None
     return {"position": position, "rotation": rotation, "size": [float(value) for value in size]}
 
 
@@ -202,19 +196,11 @@ def compare_scenes(
         edges = _rates(len(said & true_edges), len(said), len(true_edges))
         exact = not missed and not extra and said == true_edges
 
-    details = []
-    for i, j in pairs:
-        errors = pose_and_size_errors(left[i], right[j])
-        details.append(
-            {
-                "predicted": left[i]["name"],
-                "truth": right[j]["name"],
-                "iou": float(overlap[i, j]),
-                "same_type": _family(left[i]) == _family(right[j]),
-                **errors,
-                "add_s": add_s(left[i], right[j]),
-            }
-        )
+    details = [
+        {"predicted": a["name"], "truth": b["name"], "iou": iou, "same_type": _family(a) == _family(b),
+         **pose_and_size_errors(a, b), "add_s": add_s(a, b)}
+        for a, b, iou in ((left[i], right[j], float(overlap[i, j])) for i, j in pairs)
+    ]  # fmt: skip
     return {
         "objects": objects,
         "edges": edges,
@@ -264,14 +250,6 @@ def _family(solid: Mapping[str, Any]) -> str:
     return "box" if solid["type"] == "cube" else solid["type"]
 
 
-def _angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the angle between two rotations, (3, 3) each; exact to rounding near 0 as near pi."""
-    relative = a.T @ b
-    # The skew part holds sin(angle) twice for each axis, in both of its halves.
-    sine = np.linalg.norm(relative - relative.T) / np.sqrt(8)
-    return float(np.arctan2(sine, 0.5 * (np.trace(relative) - 1)))
-
-
 def _corner_gap(
     pose: np.ndarray, way: tuple[np.ndarray, np.ndarray], other: np.ndarray, other_size: np.ndarray
 ) -> float:
@@ -294,16 +272,13 @@ def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
 
     known = bool(np.any(np.asarray(scene["gravity"], float)))
     matter = matter_of_scene(scene if known else {**scene, "gravity": [0.0, 0.0, -1.0]})
-    found: dict[str, Any] = {
+    verdict = judge(simulate(matter, early=True), matter) if known else None
+    return {
         "floating": floating(matter),
         "intersecting": [list(pair) for pair in intersecting(matter)],
-        "stable": None,
-        "fallen": [],
+        "stable": None if verdict is None else verdict.stable,
+        "fallen": [] if verdict is None else list(verdict.fallen),
     }
-    if known:
-        verdict = judge(simulate(matter, early=True), matter)
-        found.update(stable=verdict.stable, fallen=list(verdict.fallen))
-    return found
 
 
 def gaps(matter: "Matter", near: float = TOLERANCE) -> dict[tuple[str, str], float]:
@@ -354,13 +329,11 @@ def paired(predicted: str | Path, truth: str | Path) -> list[tuple[str, Path, Pa
     found, true = ({} if _is_single(path) else _scenes_in(path, suffixes) for path, suffixes in kinds)
     for path, inside in ((left, found), (right, true)):
         if not inside and not _is_single(path):
-            raise DerenderError(
-                "there is no scene in this folder", path, "scenes are .yaml or .json, label images .png"
-            )
+            remedy = "scenes are .yaml or .json, label images .png"
+            raise DerenderError("there is no scene in this folder", path, remedy)
     if _is_single(left) != _is_single(right):
-        raise DerenderError(
-            "one is a folder of scenes, the other a single scene", left, "give two files or two folders"
-        )
+        what = "one is a folder of scenes, the other a single scene"
+        raise DerenderError(what, left, "give two files or two folders")
     missing = sorted(set(true) - set(found))
     if missing:
         some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")

@@ -12,6 +12,7 @@ import numpy as np
 from derender.camera.image_files import read_numbers
 from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
+from derender.scene.pose import from_rotation_vector
 
 MILLIMETRE = 1e-3
 TURNS = 64  # by which a continuous symmetry is stood for
@@ -82,11 +83,8 @@ def symmetries(model: Mapping[str, Any]) -> np.ndarray:
         axis = numbers_of(entry.get("axis") if isinstance(entry, Mapping) else None, (3,))
         if axis is None or np.linalg.norm(axis) < 1e-9:
             continue
-        x, y, z = axis / np.linalg.norm(axis)
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        angles = 2.0 * np.pi * np.arange(TURNS) / TURNS
-        turns = [np.eye(3) + np.sin(a) * cross + (1.0 - np.cos(a)) * cross @ cross for a in angles]
-        found = [turn @ other for other in found for turn in turns]
+        steps = 2.0 * np.pi * np.arange(TURNS)[:, None] / TURNS * axis / np.linalg.norm(axis)
+        found = [from_rotation_vector(step)[:3, :3] @ other for other in found for step in steps]
     return np.array(found)
 
 
