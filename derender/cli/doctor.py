@@ -34,16 +34,12 @@ except DerenderError as error:
 if abs(depth[32, 32] - 0.5) > 1e-4 or label[32, 32] != 0:
     sys.exit(f"it draws, but wrong: depth {depth[32, 32]:.4f} m where 0.5 is right")
 """
-TRIALS = (
-    ("raycast", "raycast", {}, "reinstall derender and numba: pip install --force-reinstall derender numba"),
-    ("pyrender on OSMesa", "pyrender", {"PYOPENGL_PLATFORM": "osmesa"}, "apt-get install libosmesa6"),
-    (
-        "pyrender on EGL",
-        "pyrender",
-        {"PYOPENGL_PLATFORM": "egl"},
-        "apt-get install libegl1 libgl1-mesa-dri libopengl0 libgl1",
-    ),
-)
+# Of each renderer its name, the platform of OpenGL that it is to use, and how to get it.
+TRIALS = {
+    "raycast": ("raycast", "", "reinstall derender and numba: pip install --force-reinstall derender numba"),
+    "pyrender on OSMesa": ("pyrender", "osmesa", "apt-get install libosmesa6"),
+    "pyrender on EGL": ("pyrender", "egl", "apt-get install libegl1 libgl1-mesa-dri libopengl0 libgl1"),
+}
 
 
 @click.command()
@@ -64,41 +60,31 @@ def command(as_json: bool) -> int:
             versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             versions[package] = "not installed"
-    renderers = {name: _try(renderer, environment) for name, renderer, environment, _ in TRIALS}
-    remedies = {name: remedy for name, _, _, remedy in TRIALS}
+    faults = {name: _try(renderer, opengl) for name, (renderer, opengl, _) in TRIALS.items()}
+    renderers = {name: {"works": fault is None, "fault": fault, "remedy": fault and TRIALS[name][-1]}
+                 for name, fault in faults.items()}  # fmt: skip
     if as_json:
-        report = {
-            "versions": versions,
-            "processors": options.processors(),
-            "renderers": {
-                name: {"works": fault is None, "fault": fault, "remedy": fault and remedies[name]}
-                for name, fault in renderers.items()
-            },
-        }
+        report = {"versions": versions, "processors": options.processors(), "renderers": renderers}
         click.echo(json.dumps(report, indent=1))
     else:
         for name, version in versions.items():
             click.echo(f"{name:<12} {version}")
         click.echo(f"{'processors':<12} {options.processors()}\n")
-        for name, fault in renderers.items():
-            click.echo(f"{name:<20} " + ("works" if fault is None else f"does not work: {fault}"))
-            if fault is not None:
-                click.echo(f"{'':<20} to get it: {remedies[name]}")
+        for name, told in renderers.items():
+            click.echo(f"{name:<20} " + ("works" if told["works"] else f"does not work: {told['fault']}"))
+            if not told["works"]:
+                click.echo(f"{'':<20} to get it: {told['remedy']}")
         if versions["arviz"] == "not installed":
             click.echo(f"{'arviz':<20} is optional, for posterior.nc: pip install 'derender[arviz]'")
-    return 0 if renderers["raycast"] is None else 1
+    return 0 if faults["raycast"] is None else 1
 
 
-def _try(renderer: str, environment: dict[str, str]) -> str | None:
-    """Return None where a renderer works in a process with this environment, else what is wrong, in one line."""
+def _try(renderer: str, opengl: str) -> str | None:
+    """Return None where a renderer works in a process with this platform, else what is wrong, in one line."""
+    environment = os.environ | ({"PYOPENGL_PLATFORM": opengl} if opengl else {})
+    command = [sys.executable, "-P", "-c", CHECK, renderer]
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", CHECK, renderer],
-            env=os.environ | environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     except subprocess.TimeoutExpired:
         return "it did not draw within 2 minutes"
     if done.returncode == 0:

@@ -141,17 +141,12 @@ def _details(result: dict[str, Any]) -> Iterator[Any]:
 
     from derender.report.tables import text_table
 
-    rows = [
-        [
-            f"{pair['predicted']} = {pair['truth']}",
-            f"{pair['iou']:.3f}",
-            f"{1000 * pair['position']:.1f}",
-            "–" if pair["rotation"] is None else f"{np.rad2deg(pair['rotation']):.2f}",
-            f"{1000 * max(map(abs, pair['size'])):.1f}",
-            f"{1000 * pair['add_s']:.1f}",
-        ]
-        for pair in result.get("pairs", ())
-    ]
+    rows = []
+    for pair in result.get("pairs", ()):
+        turned = "–" if pair["rotation"] is None else f"{np.rad2deg(pair['rotation']):.2f}"
+        lengths = pair["position"], max(map(abs, pair["size"])), pair["add_s"]
+        position, size, add_s = (f"{1000 * length:.1f}" for length in lengths)
+        rows.append([f"{pair['predicted']} = {pair['truth']}", f"{pair['iou']:.3f}", position, turned, size, add_s])
     if rows:
         yield text_table(rows, ("object", "IoU", "position, mm", "rotation, deg", "size, mm", "ADD-S, mm"))
     for key in ("missed", "extra"):

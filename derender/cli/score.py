@@ -76,14 +76,9 @@ def _number(value: float) -> str:
 def _table(shares: Any) -> str:
     from derender.report.tables import number_or_dash, text_table
 
-    rows = [
-        [
-            s.name,
-            str(s.pixels),
-            _number(s.log_likelihood),
-            _number(s.gain) if math.isfinite(s.gain) else "–",
-            number_or_dash(s.residual * 1000.0, ".2f"),
-        ]
-        for s in shares
-    ]
+    rows = []
+    for share in shares:
+        gain = _number(share.gain) if math.isfinite(share.gain) else "–"
+        residual = number_or_dash(share.residual * 1000.0, ".2f")
+        rows.append([share.name, str(share.pixels), _number(share.log_likelihood), gain, residual])
     return text_table(rows, ["object", "pixels", "log likelihood", "gain", "residual mm"])

@@ -2,7 +2,8 @@
 
 import inspect
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import groupby
 from typing import Any
 
 import click
@@ -32,9 +33,8 @@ def command(name: str | None, as_json: bool) -> None:
         if not found:
             from derender.registry import suggest
 
-            raise DerenderError(
-                f"no type is called {name!r}", remedy=suggest(name, {entry["name"] for entry in entries})
-            )
+            names = {entry["name"] for entry in entries}
+            raise DerenderError(f"no type is called {name!r}", remedy=suggest(name, names))
         entries = found
     if as_json:
         click.echo(json.dumps(entries, indent=1))
@@ -55,29 +55,27 @@ def _entries() -> Iterator[Any]:
     from derender.scene.priors.terms import term_types
     from derender.scene.shapes import shapes
 
-    for kind, registry in (("shape", shapes), ("likelihood", likelihoods)):
+    def own(entry: Any) -> Iterator[dict]:
+        return map(_parameter, entry.parameters)
+
+    def none(entry: Any) -> Iterable[dict]:
+        return ()
+
+    kinds: dict[str, tuple[Any, Callable[[Any], Iterable[dict]]]] = {
+        "shape": (shapes, own),
+        "likelihood": (likelihoods, own),
+        "contact": (contacts, lambda entry: map(_parameter, contact_parameters(entry.name).values())),
+        "distribution": (distributions, lambda entry: ({"name": key} for key in entry.names)),
+        "structure": (structures, none),
+        "constraint": (term_types, none),
+        "kernel": (kernels, lambda entry: ({"name": key, "default": value}
+                                           for key, value in {"weight": 1.0, **entry.options}.items())),
+    }  # fmt: skip
+    for kind, (registry, parameters) in kinds.items():
         for name in registry:
-            yield _entry(kind, name, registry[name], map(_parameter, registry[name].parameters))
-    for name in contacts:
-        yield _entry("contact", name, contacts[name], map(_parameter, contact_parameters(name).values()))
-    for name in distributions:
-        yield _entry("distribution", name, distributions[name], [{"name": key} for key in distributions[name].names])
-    for name in structures:
-        yield _entry("structure", name, structures[name], [])
-    for name in term_types:
-        yield _entry("constraint", name, term_types[name], [])
-    for name in kernels:
-        numbers = [{"name": key, "default": value} for key, value in kernels[name].options.items()]
-        yield _entry("kernel", name, kernels[name], [{"name": "weight", "default": 1.0}, *numbers])
-
-
-def _entry(kind: str, name: str, entry: Any, parameters: Any) -> dict[str, Any]:
-    return {
-        "kind": kind,
-        "name": name,
-        "summary": inspect.getdoc(entry if inspect.isclass(entry) else type(entry)) or "",
-        "parameters": list(parameters),
-    }
+            entry = registry[name]
+            summary = inspect.getdoc(entry if inspect.isclass(entry) else type(entry)) or ""
+            yield {"kind": kind, "name": name, "summary": summary, "parameters": list(parameters(entry))}
 
 
 def _parameter(parameter: Any) -> dict[str, Any]:
@@ -91,13 +89,11 @@ def _parameter(parameter: Any) -> dict[str, Any]:
 
 def _listing(entries: list[dict[str, Any]]) -> list[str]:
     lines: list[str] = []
-    kind = None
-    for entry in entries:
-        if entry["kind"] != kind:
-            kind = entry["kind"]
-            lines += ["", f"{kind}s"] if lines else [f"{kind}s"]
-        names = ", ".join(parameter["name"] for parameter in entry["parameters"])
-        lines.append(f"  {entry['name']:<18} {names}".rstrip())
+    for kind, those in groupby(entries, key=lambda entry: entry["kind"]):
+        lines += ["", f"{kind}s"] if lines else [f"{kind}s"]
+        for entry in those:
+            names = ", ".join(parameter["name"] for parameter in entry["parameters"])
+            lines.append(f"  {entry['name']:<18} {names}".rstrip())
     return lines
 
 
@@ -118,7 +114,5 @@ def _cells(parameter: dict[str, Any]) -> list[str]:
     known = {"lower": "-inf", "upper": "inf"} if "unit" in parameter else {}
     known |= {key: f"{value:g}" for key, value in parameter.items() if isinstance(value, float | int)}
     known |= {"unit": parameter.get("unit", ""), "slack": "slack" if parameter.get("slack") else ""}
-    return [
-        parameter["name"],
-        *(known.get(key) or "-" for key in ("unit", "lower", "upper", "default", "period", "slack")),
-    ]
+    keys = ("unit", "lower", "upper", "default", "period", "slack")
+    return [parameter["name"], *(known.get(key) or "-" for key in keys)]
