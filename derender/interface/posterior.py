@@ -1,5 +1,6 @@
 """A posterior for use from Python: what was found, how sure it is, and what it predicts."""
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from html import escape
@@ -14,8 +15,11 @@ from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
 from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
 from derender.registry import only_its_keywords, suggest
+from derender.report.scene_json import scene_json
 from derender.report.tables import text_table
+from derender.report.tree_text import structure_words, told_structures
 from derender.results import posterior as kept
+from derender.results.predictive import blocks_of, predictive_images, write_netcdf
 from derender.results.table import SIDES, digits, extents_text
 from derender.scene.graph import SceneGraph
 
@@ -150,8 +154,6 @@ class Posterior(kept.Posterior):
     @property
     def structures(self) -> tuple[Structure, ...]:
         """The structures found, the most probable first."""
-        from derender.report.tree_text import structure_words
-
         ordered = sorted(self.parts, key=lambda part: -part.weight)
         return tuple(
             Structure(float(part.weight), structure_words(part.graph), self._scene(part.best()[0])) for part in ordered
@@ -160,8 +162,6 @@ class Posterior(kept.Posterior):
     @property
     def objects(self) -> Objects:
         """The objects of the most probable scene that have a size, with what is known of each."""
-        from derender.report.scene_json import scene_json
-
         found = []
         for item in scene_json(self.best_graph(), self)["objects"]:
             if item["size"] is None:
@@ -196,8 +196,6 @@ class Posterior(kept.Posterior):
 
         Raises DerenderError : neither image nor camera is known.
         """
-        from derender.results.predictive import predictive_images
-
         if self.camera is None:
             raise DerenderError("the posterior knows no camera", remedy="load the folder that derender infer wrote")
         return predictive_images(self, self.camera, count, np.random.default_rng(seed))
@@ -232,10 +230,6 @@ class Posterior(kept.Posterior):
 
         Raises DerenderError : ArviZ is not installed.
         """
-        import tempfile
-
-        from derender.results.predictive import blocks_of, write_netcdf
-
         try:
             import arviz
         except ImportError:
@@ -270,8 +264,6 @@ class Posterior(kept.Posterior):
 
     def plot_structures(self, ax: Any = None) -> Any:
         """Draw the structures' probabilities, the greatest on top, into matplotlib axes, and return them."""
-        from derender.report.tree_text import told_structures
-
         axes = axes_for(ax)
         words = [words for _, words in told_structures(self)][:MOST_BARS]
         shares = [each.probability for each in self.structures[: len(words)]]
@@ -282,7 +274,6 @@ class Posterior(kept.Posterior):
 
     def _repr_html_(self) -> str:
         from derender.report import pictures
-        from derender.report.tree_text import told_structures
 
         shown = ""
         if self.image is not None:

@@ -12,6 +12,7 @@ from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, document_text, write_document
 from derender.registry import only_its_keywords
+from derender.report.scene_json import scene_json
 from derender.results.table import extents_text
 from derender.scene.graph import SceneGraph
 
@@ -73,8 +74,6 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as `derender show --json` prints it."""
-        from derender.report.scene_json import scene_json
-
         return scene_json(self.graph)
 
     def to_yaml(self) -> str:
