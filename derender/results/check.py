@@ -9,6 +9,7 @@ has its normal along (a f, b f, c), and seen with a wrong f they are not right.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -38,10 +39,8 @@ def wrong_kind(observed: np.ndarray, camera: Camera, noise: Noise) -> list[Doubt
     if best == "depth" or shares[best] < max(CLEARLY * shares["depth"], shares["depth"] + MORE):
         return []
     as_depth, as_other = round(100 * shares["depth"]), round(100 * shares[best])
-    words = (
-        f"the numbers look like {REMEDIES[best]} (so {as_other} % of them lie on one plane, {as_depth} % as they are)"
-    )
-    return [Doubt(words)]
+    words = f"the numbers look like {REMEDIES[best]}"
+    return [Doubt(f"{words} (so {as_other} % of them lie on one plane, {as_depth} % as they are)")]
 
 
 def plane_shares(observed: np.ndarray, camera: Camera, noise: Noise) -> dict[str, float]:
@@ -186,9 +185,7 @@ def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
     label, count = label_regions(binary_opening(mask, np.ones((wide, wide))))
     sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
     order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
-    return tuple(
-        Region(LETTERS[place % len(LETTERS)], label == k + 1, float(sizes[k])) for place, k in enumerate(order)
-    )
+    return tuple(Region(name, label == k + 1, float(sizes[k])) for name, k in zip(cycle(LETTERS), order, strict=False))
 
 
 def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
@@ -238,12 +235,8 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
     usual = (SENSOR_PER_DEPTH * middle + SENSOR_PER_SQUARE * middle**2) / 3.0
     if fitted <= NOISY * max(fit.noise.sigma, usual):
         return []
-    return [
-        Doubt(
-            f"a noise of {1000 * fitted:.2g} mm was fitted where flat patches show {1000 * fit.noise.sigma:.2g} mm: "
-            "it hides what is not explained"
-        )
-    ]
+    words = f"a noise of {1000 * fitted:.2g} mm was fitted where flat patches show {1000 * fit.noise.sigma:.2g} mm"
+    return [Doubt(f"{words}: it hides what is not explained")]
 
 
 def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
@@ -263,18 +256,17 @@ def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Dou
         outline = int((mask & ~binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         share_cut = cut / max(outline + cut, 1)
-        about = (region,), (name,)
+        told = []
         if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
-            doubts.append(Doubt(f"nothing returned from {percent(missing)} of {name}, {region.where}", True, *about))
+            told.append((f"nothing returned from {percent(missing)} of {name}, {region.where}", True))
         elif fitting < LEAST_FITTING:
             words = f"{name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
-            doubts.append(Doubt(words, True, *about))
+            told.append((words, True))
         if filled > FILLING:
-            words = f"{name} fills {percent(filled)} of the image, so that little shows what it stands on"
-            doubts.append(Doubt(words, True, *about))
+            told.append((f"{name} fills {percent(filled)} of the image, so that little shows what it stands on", True))
         elif share_cut > CUT:
-            words = f"{name} is cut by the image's border: how big it is beyond is a guess"
-            doubts.append(Doubt(words, False, *about))
+            told.append((f"{name} is cut by the image's border: how big it is beyond is a guess", False))
+        doubts += [Doubt(words, serious, (region,), (name,)) for words, serious in told]
     return doubts
 
 
@@ -288,8 +280,7 @@ def nothing_but_a_plane(graph: "SceneGraph", fit: Fit, camera: Camera, observed:
     wide = float(np.linalg.norm(np.ptp(corners, axis=0)))
     if wide > NO_THING:
         return []
-    words = f"nothing is seen but one surface of {wide:.2g} m: a thing that fills the view would look the same"
-    return [Doubt(words)]
+    return [Doubt(f"nothing is seen but one surface of {wide:.2g} m: a thing that fills the view would look the same")]
 
 
 def percent(share: float) -> str:
@@ -332,11 +323,8 @@ def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -
     best = float(SCALES[np.argmin(off)])
     if off[len(SCALES) // 2] - off.min() <= SURELY or LEAST_FOCAL < best < MOST_FOCAL:
         return []
-    words = (
-        f"the boxes' angles are right ones if the focal length is {best:.2f} times that of the camera, "
-        f"{best * focal:.0f} pixels and not {focal:.0f}: check its intrinsics"
-    )
-    return [Doubt(words)]
+    words = f"the boxes' angles are right ones if the focal length is {best:.2f} times that of the camera"
+    return [Doubt(f"{words}, {best * focal:.0f} pixels and not {focal:.0f}: check its intrinsics")]
 
 
 def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:

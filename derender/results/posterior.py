@@ -86,21 +86,14 @@ class StructurePosterior:
 
     def graph_at(self, chain: int, draw: int) -> SceneGraph:
         """Return the scene of one draw."""
-        numbers = {
-            address: value
-            for address, value in zip(self.addresses, self.values[chain, draw], strict=True)
-            if address.partition(".")[0] not in ("root", "likelihood")
-        }
-        graph = self.graph.with_numbers(numbers)
+        told = zip(self.addresses, self.values[chain, draw], strict=True)
+        graph = self.graph.with_numbers({a: x for a, x in told if not a.startswith(("root.", "likelihood."))})
         return graph if self.root_pose is None else replace(graph, root_pose=self.root_pose[chain, draw])
 
     def likelihood_at(self, chain: int, draw: int) -> dict[str, float]:
         """Return the numbers of the likelihood that are unknown, by name, in one draw."""
-        return {
-            address.removeprefix("likelihood."): float(value)
-            for address, value in zip(self.addresses, self.values[chain, draw], strict=True)
-            if address.startswith("likelihood.")
-        }
+        told = zip(self.addresses, self.values[chain, draw].tolist(), strict=True)
+        return {a.removeprefix("likelihood."): x for a, x in told if a.startswith("likelihood.")}
 
     @property
     def best_place(self) -> tuple[int, int]:
@@ -169,7 +162,8 @@ class Posterior:
         """Return the probability that an object of this name is there: in the structures that were found, and in what
         a search may have missed as often as the prior says, see `Missed`: where it is likelier that something was,
         more was. How often a free-form thing is an object was counted over all answers."""
-        there = self._probability(lambda graph: name in graph.names)
+        total = sum(part.weight for part in self.parts)
+        there = float(sum(part.weight for part in self.parts if name in part.graph.names) / total) if total else 0.0
         if name in self.meta.get("existence", {}):
             return there * self._existence(name)[0]
         return there * (1.0 - self.meta.get("missed", 0.0) ** 2 * self.meta.get("wrong_if_missed", 0.0))
@@ -208,10 +202,6 @@ class Posterior:
                 for what in said(part.graph.vertex(name)):
                     found[what] = found.get(what, 0.0) + part.weight
         return {what: p / present for what, p in sorted(found.items(), key=lambda item: -item[1])} if present else {}
-
-    def _probability(self, holds: Callable[..., Any]) -> float:
-        total = sum(part.weight for part in self.parts)
-        return float(sum(part.weight for part in self.parts if holds(part.graph)) / total) if total > 0.0 else 0.0
 
     def graphs(self, rng: np.random.Generator, count: int) -> list[SceneGraph]:
         """Return `count` scenes drawn from the posterior: structures by weight, draws uniformly within.

@@ -5,6 +5,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from derender.results.fit import Fit
+    from derender.results.posterior import Posterior
+    from derender.scene.graph import SceneGraph
+
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
@@ -26,10 +31,6 @@ class Region(NamedTuple):
         return f"{words or 'in'} the middle"
 
 
-if TYPE_CHECKING:
-    from derender.results.fit import Fit
-    from derender.results.posterior import Posterior
-    from derender.scene.graph import SceneGraph
 # Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
 # 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
 LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
@@ -92,13 +93,10 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     """
     lost = len(posterior.meta.get("lost_chains", ()))
     doubts = [f"{lost} of the chains died"] if lost else []
-    doubts += [
-        "another plane may be the floor, with a probability of {:.2f}: --floor={:.3g},{:.3g},{:.3g},{:.3g}".format(
-            other["probability"], *other["plane"]
-        )
-        for other in posterior.meta.get("other_floors", ())
-        if other["probability"] > LIKELY_FLOOR
-    ]
+    for other in posterior.meta.get("other_floors", ()):
+        if (likely := other["probability"]) > LIKELY_FLOOR:
+            plane = ",".join(f"{number:.3g}" for number in other["plane"])
+            doubts.append(f"another plane may be the floor, with a probability of {likely:.2f}: --floor={plane}")
     told = [
         Doubt(f"{name} is an object with a probability of {known:.2f} only: it may be clutter or a piece of one",
               known < LEAST_EXISTENCE, about=(name,))
@@ -123,10 +121,9 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
             doubts.append(f"{1.0 - view['explained']:.0%} of {view['image']} is not explained by what all images show")
     short = posterior.meta.get("short_of_noise", 0.0)
     if short > FITS:
-        doubts.append(
-            f"the image is {short:.0f} standard deviations less likely than images drawn of the best scene: a better "
-            "one was missed (see --seed), or the sensor is not as the likelihood says"
-        )
+        words = f"the image is {short:.0f} standard deviations less likely than images drawn of the best scene"
+        why = "a better one was missed (see --seed), or the sensor is not as the likelihood says"
+        doubts.append(f"{words}: {why}")
     evidence = posterior.best_part.extras.get("log_evidence", [0.0])
     if max(evidence) - min(evidence) > APART:
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
@@ -204,8 +201,5 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     if not r_hats or not counts:  # no two chains to compare
         return ["nothing speaks against this scene; without draws nothing tells how sure it is", *notes]
     largest, smallest = limits(rows[0]["draws"].size)
-    agreement = (
-        f"the chains agree: R-hat is at most {max(r_hats):.3f} (good up to {largest}), effective draws are at least "
-        f"{min(counts):.0f} (good from {smallest:.0f})"
-    )
-    return [agreement, *notes]
+    agreement = f"the chains agree: R-hat is at most {max(r_hats):.3f} (good up to {largest})"
+    return [f"{agreement}, effective draws are at least {min(counts):.0f} (good from {smallest:.0f})", *notes]
