@@ -58,12 +58,9 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
         write_bytes(path, glb_bytes(graph, trajectory))
         return
     assert camera is not None
-    names = graph.solid_names
-    solids = graph.solids()
+    names, solids = graph.solid_names, graph.solids()
     shown = [k for k, name in enumerate(names) if name in trajectory.names or solids.kind[k] == PLANE]
-    kept = solids._replace(
-        kind=solids.kind[shown], pose=solids.pose[shown], size=solids.size[shown], mesh=solids.mesh[shown]
-    )
+    kept = Solids(solids.kind[shown], solids.pose[shown], solids.size[shown], solids.mesh[shown], solids.meshes)
     write_animation(path, frames(kept, tuple(names[k] for k in shown), trajectory, camera))
 
 
@@ -99,6 +96,5 @@ def _write_film(path: Path, pictures: np.ndarray) -> None:
         run = subprocess.run(command, input=pictures.tobytes(), check=False, capture_output=True)
         if run.returncode:
             said = run.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {run.returncode}"]
-            raise DerenderError(
-                f"ffmpeg failed: {said[-1]}", path, "install an ffmpeg with H.264, or write .gif or .webp"
-            )
+            remedy = "install an ffmpeg with H.264, or write .gif or .webp"
+            raise DerenderError(f"ffmpeg failed: {said[-1]}", path, remedy)

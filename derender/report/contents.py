@@ -93,24 +93,11 @@ def report_of(
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)
+    known = {key: value for key, value in known.items() if value not in (None, "")}
     method = "map" if posterior is not None and posterior.meta.get("method") == "map" else ""
-    return Report(
-        title,
-        scene,
-        graph.solids(),
-        graph.solid_names,
-        camera,
-        observed,
-        draws,
-        rows,
-        structures,
-        {key: value for key, value in known.items() if value not in (None, "")},
-        dict(likelihood or {}),
-        doubts,
-        fit,
-        downloads(title, graph, scene, method) if shown else {},
-        posterior=posterior,
-    )
+    files = downloads(title, graph, scene, method) if shown else {}
+    return Report(title, scene, graph.solids(), graph.solid_names, camera, observed, draws, rows, structures, known,
+                  dict(likelihood or {}), doubts, fit, files, posterior=posterior)  # fmt: skip
 
 
 def downloads(title: str, graph: "SceneGraph", scene: Mapping[str, Any], method: str) -> dict[str, tuple[str, bytes]]:

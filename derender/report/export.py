@@ -7,7 +7,7 @@ asked for; others (a material library, meshes) go beside it.
 import json
 import struct
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -40,9 +40,8 @@ def export_scene(graph: SceneGraph, path: str | Path, camera: Camera | None = No
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in EXPORTERS:
-        raise DerenderError(
-            f"no format has the suffix {suffix!r}", path, "choose from " + " ".join([*EXPORTERS, ".rrd"])
-        )
+        known = " ".join([*EXPORTERS, ".rrd"])
+        raise DerenderError(f"no format has the suffix {suffix!r}", path, f"choose from {known}")
     written = []
     for name, data in EXPORTERS[suffix](graph, path, camera).items():
         target = path.parent / name
@@ -57,9 +56,7 @@ def export_obj(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
     up = upright_pose(graph)
     library = path.with_suffix(".mtl").name
     lines, materials, count = [f"# derender {__version__}: metres, z up", f"mtllib {library}"], [], 1
-    for index, (name, colour) in enumerate(
-        zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
-    ):
+    for index, (name, colour) in enumerate(_coloured(graph, solids)):
         vertices, triangles = solid_mesh(solids, index)
         placed = up @ solids.pose[index]
         word = name.replace(" ", "_")
@@ -68,6 +65,11 @@ def export_obj(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
         count += len(vertices)
         materials += [f"newmtl {word}", "Kd " + " ".join(f"{part:.4f}" for part in colour), ""]
     return {path.name: ("\n".join(lines) + "\n").encode(), library: "\n".join(materials).encode()}
+
+
+def _coloured(graph: SceneGraph, solids: kinds.Solids) -> Iterable[tuple[str, np.ndarray]]:
+    """Return name and colour (3,), from 0 to 1, of each solid."""
+    return zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
 
 
 def _triangles(vertices: np.ndarray, triangles: np.ndarray, first: int = 1) -> list[str]:
@@ -85,7 +87,7 @@ def export_mjcf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
     up = upright_pose(graph)
     bodies = tuple(body._replace(pose=up @ body.pose) for body in matter.bodies)
     world = World(Matter(bodies, up[:3, :3] @ matter.gravity, matter.supports), units=Units(1.0, 1.0, 1.0))
-    colours = dict(zip(graph.solid_names, colours_of(graph.solids(), graph.solid_names) / 255, strict=True))
+    colours = dict(_coloured(graph, graph.solids()))
     for geom in world.spec.geoms:
         geom.rgba = [*colours[geom.name.split("/")[0]], 1.0]
     world.spec.worldbody.add_light(pos=[0.5, -1, 2], dir=[-0.25, 0.5, -1])
@@ -106,9 +108,7 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
     robot = ElementTree.Element("robot", name=path.stem)
     ElementTree.SubElement(robot, "link", name="world")
     files: dict[str, bytes] = {path.name: b""}
-    for index, (name, colour) in enumerate(
-        zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
-    ):
+    for index, (name, colour) in enumerate(_coloured(graph, solids)):
         kind, size, pose = int(solids.kind[index]), solids.size[index], up @ solids.pose[index]
         fixed = kind == kinds.PLANE
         if fixed:
@@ -198,9 +198,8 @@ def export_bop(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
         }
     files = {path.name: json.dumps({"0": entries}, indent=1), "models_info.json": json.dumps(models, indent=1)}
     if camera is not None:
-        files["scene_camera.json"] = json.dumps(
-            {"0": {"cam_K": camera.matrix.ravel().tolist(), "depth_scale": camera.depth_scale}}, indent=1
-        )
+        told = {"cam_K": camera.matrix.ravel().tolist(), "depth_scale": camera.depth_scale}
+        files["scene_camera.json"] = json.dumps({"0": told}, indent=1)
     return {name: (text + "\n").encode() for name, text in files.items()}
 
 
@@ -226,14 +225,9 @@ def glb_bytes(graph: SceneGraph, trajectory: "Trajectory | None" = None) -> byte
     colours = colours_of(solids, graph.solid_names) / 255
     tree: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"derender {__version__}"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [],
-        "meshes": [],
-        "materials": [],
-        "accessors": [],
-        "bufferViews": [],
-    }
+        "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [], "meshes": [], "materials": [], "accessors": [], "bufferViews": [],
+    }  # fmt: skip
     data = bytearray()
     poses = graph.poses()
     up = rotation_x(-np.pi / 2) @ upright_pose(graph)

@@ -1,10 +1,9 @@
 """Solids as triangles, for viewers and exports, and the scene turned upright: z up, as other programs have it."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from derender.scene import solids as kinds
+from derender.scene.graph import SceneGraph
 from derender.scene.pose import from_axes, inverse
 from derender.scene.shapes.kinds import box_mesh
 from derender.scene.solids import Solids
@@ -74,11 +73,7 @@ def plane_patch(solids: Solids, index: int, points: np.ndarray | None = None) ->
     return pose, max(half, 0.05)
 
 
-if TYPE_CHECKING:
-    from derender.scene.graph import SceneGraph
-
-
-def upright_pose(graph: "SceneGraph") -> np.ndarray:
+def upright_pose(graph: SceneGraph) -> np.ndarray:
     """Return the (4, 4) pose, camera to world, of a world whose z is up and whose origin is on the floor.
 
     The origin is under the middle of the solids on the first plane (without a plane: under their middle at the height

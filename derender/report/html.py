@@ -79,10 +79,9 @@ def _simulated(report: Report) -> str:
 def _downloads(report: Report) -> str:
     if not report.files:
         return ""
-    links = []
-    for name, (kind, data) in report.files.items():
-        links.append(f'<a download="{escape(name)}" href="{pictures.data_uri(kind, data)}">{escape(name)}</a>')
-    return '<p class="files">Download ' + ", ".join(links) + "</p>"
+    uris = {escape(name): pictures.data_uri(kind, data) for name, (kind, data) in report.files.items()}
+    links = ", ".join(f'<a download="{name}" href="{uri}">{name}</a>' for name, uri in uris.items())
+    return f'<p class="files">Download {links}</p>'
 
 
 def _structures(report: Report) -> str:

@@ -112,14 +112,8 @@ def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
     return colours
 
 
-def shade(
-    solids: Solids,
-    camera: Camera,
-    names: Sequence[str] = (),
-    samples: int = 2,
-    shadows: bool = True,
-    colours: np.ndarray | None = None,
-) -> np.ndarray:
+def shade(solids: Solids, camera: Camera, names: Sequence[str] = (), samples: int = 2, shadows: bool = True,
+          colours: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
     """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting.
 
     samples : of each pixel, along either side. colours : (N, 3) uint8; None: as `colours_of` has them.
@@ -152,11 +146,7 @@ def outline_path(mask: np.ndarray) -> str:
     padded = np.pad(mask, 1).astype(np.int8)
     parts = []
     for way, steps in (("h", np.diff(padded, axis=0)[:, 1:-1]), ("v", np.diff(padded, axis=1)[1:-1].T)):
-        # a run of one row or column where the mask begins or ends is one line
-        edges = np.pad(steps != 0, ((0, 0), (1, 1))).astype(np.int8)
-        line, begin = np.nonzero(np.diff(edges, axis=1) == 1)
-        _, end = np.nonzero(np.diff(edges, axis=1) == -1)
-        for where, first, last in zip(line, begin, end, strict=True):
+        for where, first, last in runs(steps != 0):  # of one row or column where the mask begins or ends: one line
             x, y = (first, where) if way == "h" else (where, first)
             parts.append(f"M{x} {y}{way}{last - first}")
     return "".join(parts)
@@ -164,10 +154,14 @@ def outline_path(mask: np.ndarray) -> str:
 
 def area_path(mask: np.ndarray) -> str:
     """Return a mask (H, W) as an SVG path of rectangles, one for each run of a row."""
-    edges = np.pad(mask, ((0, 0), (1, 1))).astype(np.int8)
-    row, begin = np.nonzero(np.diff(edges, axis=1) == 1)
-    _, end = np.nonzero(np.diff(edges, axis=1) == -1)
-    return "".join(f"M{a} {y}h{b - a}v1h{a - b}z" for y, a, b in zip(row, begin, end, strict=True))
+    return "".join(f"M{a} {y}h{b - a}v1h{a - b}z" for y, a, b in runs(mask))
+
+
+def runs(mask: np.ndarray) -> Iterable[tuple[int, int, int]]:
+    """Return (row, first column, first column beyond) of each run of pixels in the rows of a mask (H, W)."""
+    edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, begin = np.nonzero(edges == 1)
+    return zip(row, begin, np.nonzero(edges == -1)[1], strict=True)
 
 
 def marks_svg(
@@ -235,9 +229,8 @@ def depth_pictures(report: Report) -> str:
         low, high = depth_limits(explained, near)
         still = png_uri(shade(report.solids, report.camera, report.solid_names))
         marks = marks_svg(report.camera.shape, objects)
-        shown = [picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, marks),
-                 f'<figure><div class="layers"><img src="{still}" alt="the scene">{marks}</div></figure>']  # fmt: skip
-        return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>"
+        scene = f'<figure><div class="layers"><img src="{still}" alt="the scene">{marks}</div></figure>'
+        return row("Depth", picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, marks), scene)
     low, high = depth_limits(report.observed, near)
     regions: list[Region] = [region for doubt in report.doubts for region in doubt.regions]
     middle = report.observed[near & np.isfinite(report.observed)]
@@ -251,12 +244,17 @@ def depth_pictures(report: Report) -> str:
     words = "residual: observed − explained"
     words += f" (median |r| {1000 * np.median(known):.1f} mm)" if known.size else ""
     ends = -1000 * scale, 1000 * scale
-    shown = [
+    return row(
+        "Depth",
         picture("observed depth", report.observed, low, high, "m", DEPTH_ANCHORS, marks),
         picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, plain),
         picture(words, 1000 * residual, *ends, "mm", RESIDUAL_ANCHORS, doubtful),
-    ]
-    return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>" + _predictive(report, report.observed)
+    ) + _predictive(report, report.observed)
+
+
+def row(title: str, *figures: str) -> str:
+    """Return figures beside each other under a title."""
+    return f'<h2>{title}</h2><div class="pictures">{"".join(figures)}</div>'
 
 
 def as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
@@ -286,11 +284,11 @@ def _predictive(report: Report, observed: np.ndarray) -> str:
     widest = np.nanpercentile(spread, 90) if np.isfinite(spread).any() else 0.0
     widest = float(np.clip(widest, 5e-4, 0.05))
     words = f"surprise: (observed − predicted) / sd, of {len(report.draws)} draws and the noise"
-    shown = [
+    return row(
+        "What the posterior predicts",
         picture("spread of the posterior's draws (sd)", 1000 * spread, 0.0, 1000 * widest, "mm", DEPTH_ANCHORS),
         picture(words, surprise, -SURPRISE, SURPRISE, "sd", RESIDUAL_ANCHORS),
-    ]
-    return '<h2>What the posterior predicts</h2><div class="pictures">' + "".join(shown) + "</div>"
+    )
 
 
 def picture(

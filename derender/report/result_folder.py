@@ -90,12 +90,9 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     likelihood = likelihood.with_values(best.likelihood_at(*best.best_place))
     text = document_text(graph, seen.camera, likelihood, made, home or folder)
     report = report._replace(files={"scene.yaml": ("text/yaml", text.encode()), **report.files})
-    rows = {
-        row["address"]: {
-            key: finite_or_none(float(row[key])) for key in row if key not in ("address", "draws", "unit", "scale")
-        }
-        for row in report.parameters
-    }
+    own = ("address", "draws", "unit", "scale")
+    rows = {row["address"]: {key: finite_or_none(float(row[key])) for key in row if key not in own}
+            for row in report.parameters}  # fmt: skip
     summary = {
         **made,
         "version": posterior.version,

@@ -49,9 +49,8 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     parts = []
     for name, item in objects.items():
         parts.append(line(name, item["parent"] if item.get("parent") in objects else "root", 0.5 * gap))
-        parts += [
-            line(name, other, 0.0, ' stroke-dasharray="5 4"') for other in item.get("supports", ()) if other in column
-        ]
+        others = (other for other in item.get("supports", ()) if other in column)
+        parts += [line(name, other, 0.0, ' stroke-dasharray="5 4"') for other in others]
     for name in column:
         x, y = at(name)
         shown = objects.get(name)

@@ -85,15 +85,13 @@ def number_or_dash(value: float | None, form: str) -> str:
 
 def text_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
     """Return lines of columns, the first to the left and the others to the right."""
-    table = [list(header), *[list(row) for row in rows]]
-    widths = [max(len(row[k]) for row in table) for k in range(len(header))]
+    table = [header, *rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
-    for row in table:
-        first, *others = row
-        lines.append(
-            "  ".join([first.ljust(widths[0]), *[t.rjust(w) for t, w in zip(others, widths[1:], strict=True)]])
-        )
-    return "\n".join(line.rstrip() for line in lines)
+    for first, *others in table:
+        cells = (cell.rjust(wide) for cell, wide in zip(others, widths[1:], strict=True))
+        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
+    return "\n".join(lines)
 
 
 def parameter_table(rows: Sequence[Mapping[str, Any]]) -> str:
