@@ -73,7 +73,8 @@ def find_frames(
         if is_bag(argument):
             paths = bag_frames(argument, topic)
         elif os.path.isdir(argument):
-            paths = {path: _inside(path, argument) for path in _below(Path(argument), output, shallow)}
+            below = _below(Path(argument), output, shallow)
+            paths = {path: Path(path).relative_to(argument).with_suffix("").as_posix() for path in below}
         elif is_pattern(argument):
             # Through links that lead back up a file is found again and again: by its shortest path once.
             matches = sorted(glob.glob(argument, recursive=True), key=len, reverse=True)
@@ -128,24 +129,15 @@ def _may_be_depth(path: Path, output: Path, shallow: list[str]) -> bool:
     return True
 
 
-def _inside(path: str, folder: str) -> str:
-    """Return a path below a folder without folder and suffix."""
-    return Path(path).relative_to(folder).with_suffix("").as_posix()
-
-
 def _named(found: dict[str, str]) -> list[Frame]:
     """Return frames with names that no two share: where two would, they keep their folders, and then their suffixes."""
-    longer = [lambda path: _rooted(Path(path).with_suffix("")), lambda path: _rooted(Path(path))]
     names = dict(found)
-    for other in longer:
+    for bare in (True, False):
         count = Counter(names.values())
-        names = {path: name if count[name] == 1 else other(path) for path, name in names.items()}
+        for path in [path for path, name in names.items() if count[name] > 1]:
+            longer = Path(path).with_suffix("") if bare else Path(path)  # below any folder: no root, no steps upwards
+            names[path] = "/".join(part for part in longer.parts if part not in (longer.anchor, "..", "."))
     return [Frame(name, path) for path, name in names.items()]
-
-
-def _rooted(path: Path) -> str:
-    """Return a path as one below any folder: without its root and without steps upwards."""
-    return "/".join(part for part in path.parts if part not in (path.anchor, "..", "."))
 
 
 class Watch:
@@ -242,10 +234,8 @@ def request_of(frame: Frame, order: Order, output: str, warn: Callable[[str], No
     """Read a frame and return what is asked of it; DerenderError where it cannot be read."""
     from derender.workflow import ask
 
-    folder = Path(output) / frame.name
-    return ask(
-        frame.path, order.options, order.prior, folder, order.reading, order.command(frame), warn,
-    )  # fmt: skip
+    folder, command = Path(output) / frame.name, order.command(frame)
+    return ask(frame.path, order.options, order.prior, folder, order.reading, command, warn)
 
 
 def answer_frame(
@@ -302,12 +292,13 @@ def leave_with_parent() -> None:
     """End this process as soon as the one that started it has gone, however that came about."""
     import multiprocessing
     import threading
-    from multiprocessing.process import BaseProcess
 
-    def end_with(parent: BaseProcess) -> None:
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def end() -> None:
         parent.join()
         os._exit(1)
 
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=end, daemon=True).start()

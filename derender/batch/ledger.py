@@ -92,19 +92,17 @@ class Ledger:
         with locked(self.folder):
             self._read()
             names = sorted(self.rows)
-            for name in names:  # of a frame that failed and was then done, the last word
-                last = self.rows[name][-1]["status"]
-                self.rows[name] = _last(self.rows[name], last)
+            self.rows = {name: _last(self.rows[name]) for name in names}
             rows = [row for name in names for row in self.rows[name]]
             if ended:
                 write_text(self.folder / LEDGER, as_lines(rows))
             write_text(self.folder / TABLE, as_csv(rows))
-            write_text(self.folder / PAGE, index_page(self.folder, {name: self.rows[name] for name in names}))
+            write_text(self.folder / PAGE, index_page(self.folder, self.rows))
 
 
-def _last(rows: Sequence[dict[str, Any]], status: str) -> list[dict[str, Any]]:
+def _last(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows of a frame that count: of a failure one, of a result each object once, as it was told last."""
-    if status == "failed":
+    if rows[-1]["status"] == "failed":
         return [rows[-1]]
     found = {row["object"]: row for row in rows if row["status"] == "done"}
     if len(found) > 1:

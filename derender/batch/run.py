@@ -332,9 +332,7 @@ def answer_elsewhere(frame: Frame, request: "Request", page: bool) -> tuple[Done
     os.environ.setdefault(THREADS_VARIABLE, "1")
     with tempfile.TemporaryDirectory() as folder:
         done = attempt(frame, lambda warn: answer_frame(frame, request, page, Path(folder), warn))
-        files = (
-            {} if done.error else {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
-        )
+        files = {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file() and not done.error}
     return done, files
 
 
