@@ -77,14 +77,9 @@ def save_record(path: Path, record: Record, run: str) -> None:
     """Write `record` of the run with fingerprint `run`; a kill at any moment leaves the former file or this one."""
     header = {"format": FORMAT, "run": run, "warmed": record.warmed, "generator": record.generator}
     arrays: dict[str, Any] = {f"state.{name}": value for name, value in record.state.items()}
+    arrays |= {"values": record.values, "densities": record.densities}
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez(
-            file,
-            header=np.frombuffer(json.dumps(header).encode(), np.uint8),
-            values=record.values,
-            densities=record.densities,
-            **arrays,
-        )
+        np.savez(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
 
 
 def load_record(path: Path, run: str) -> Record | None:
@@ -104,11 +99,8 @@ def load_record(path: Path, run: str) -> Record | None:
     if header.get("format") != FORMAT:
         raise DerenderError("was written by another version of derender", path, "run without --resume")
     if header["run"] != run:
-        raise DerenderError(
-            "was written by a run with another image, prior, seed or settings",
-            path,
-            "repeat that command exactly to resume it, or run without --resume",
-        )
+        what = "was written by a run with another image, prior, seed or settings"
+        raise DerenderError(what, path, "repeat that command exactly to resume it, or run without --resume")
     return record
 
 
