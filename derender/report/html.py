@@ -3,15 +3,19 @@
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from derender.atomic import write_text
+from derender.render.blur import blur
+from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
-from derender.report.pictures import depth_pictures
 from derender.results import trust
 from derender.results.table import as_page, extents_text, probability_text
+from derender.results.trust import Region
+from derender.scene import solids as kinds
 
 HERE = Path(__file__).parent
 MOST_STRUCTURES = 8  # of the table
@@ -153,4 +157,94 @@ def _parameters(report: Report) -> str:
         f'<p class="soft">R-hat above {largest} and effective sample sizes (ESS) below {smallest:.0f} are in red. '
         "In a rank plot level lines are good.</p>"
         + wide(f"<table><tr>{head}<th>traces</th><th>ranks</th></tr>{''.join(rows)}</table>", "numbers")
+    )
+
+
+# A residual picture's scale: what holds all but 5 % of the residuals, yet no less than 2 mm and no more than 5 cm.
+RESIDUAL_SCALE = (0.002, 0.05)
+PREDICTED = 320  # columns of the pictures of the posterior predictive, at most
+SURPRISE = 4.0  # standard deviations at the ends of that picture's scale
+
+
+def depth_pictures(report: Report) -> str:
+    """Return the pictures of a report's image and of what explains it, as HTML; none without a camera."""
+    if report.camera is None:
+        return ""
+    clean, label = render_depth(report.solids, report.camera)
+    explained = as_compared(clean, report.likelihood)
+    objects = [(name, label == index) for index, name in enumerate(report.solid_names)
+               if report.solids.kind[index] != kinds.PLANE]  # fmt: skip
+    near = np.isin(label, np.flatnonzero(report.solids.kind != kinds.PLANE))
+    if report.observed is None:
+        low, high = pictures.depth_limits(explained, near)
+        still = pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names))
+        marks = pictures.marks_svg(report.camera.shape, objects)
+        scene = f'<figure><div class="layers"><img src="{still}" alt="the scene">{marks}</div></figure>'
+        return side_by_side("Depth", picture("explained depth", explained, low, high, "m", marks), scene)
+    low, high = pictures.depth_limits(report.observed, near)
+    regions: list[Region] = [region for doubt in report.doubts for region in doubt.regions]
+    middle = report.observed[near & np.isfinite(report.observed)]
+    middle = middle if middle.size else report.observed[np.isfinite(report.observed)]
+    bar = pictures.scale_bar(report.camera, float(np.median(middle))) if middle.size else ""
+    marks = pictures.marks_svg(report.camera.shape, objects, regions, bar)
+    plain, doubtful = (pictures.marks_svg(report.camera.shape, objects, told) for told in ((), regions))
+    residual = report.observed - explained
+    known = np.abs(residual[np.isfinite(residual)])
+    scale = float(np.clip(np.percentile(known, 95), *RESIDUAL_SCALE)) if known.size else RESIDUAL_SCALE[0]
+    words = "residual: observed − explained"
+    words += f" (median |r| {1000 * np.median(known):.1f} mm)" if known.size else ""
+    ends = -1000 * scale, 1000 * scale
+    return side_by_side(
+        "Depth",
+        picture("observed depth", report.observed, low, high, "m", marks),
+        picture("explained depth", explained, low, high, "m", plain),
+        picture(words, 1000 * residual, *ends, "mm", doubtful),
+    ) + _predictive(report, report.observed)
+
+
+def side_by_side(title: str, *figures: str) -> str:
+    """Return figures beside each other under a title."""
+    return f'<h2>{title}</h2><div class="pictures">{"".join(figures)}</div>'
+
+
+def as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
+    """Return the depth image that the likelihood compares with the observed one: background filled in, blurred."""
+    background, sigma = likelihood.get("background"), likelihood.get("blur")
+    filled = depth if not isinstance(background, float) else np.fmin(depth, background)
+    return blur(filled, sigma) if isinstance(sigma, float) and np.all(np.isfinite(filled)) else filled
+
+
+def _predictive(report: Report, observed: np.ndarray) -> str:
+    """Return pictures of the posterior predictive: how far its draws scatter, and how surprising the image is."""
+    camera = report.camera
+    if len(report.draws) < 2 or camera is None or all(row["draws"].size == 1 for row in report.parameters):
+        return ""
+    step = max(1, -(-camera.width // PREDICTED))
+    some = np.s_[::step, ::step]  # after the blur: pixels of a smaller camera would not mix with their neighbours
+    seen = observed[some]
+    drawn = np.array([as_compared(render_depth(each, camera)[0], report.likelihood)[some] for each in report.draws])
+    mean, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
+    noise = report.likelihood.get("sigma", 0.0) + report.likelihood.get("sigma_growth", 0.0) * mean**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        surprise = (seen - mean) / np.hypot(spread, noise)
+    widest = np.nanpercentile(spread, 90) if np.isfinite(spread).any() else 0.0
+    widest = float(np.clip(widest, 5e-4, 0.05))
+    words = f"surprise: (observed − predicted) / sd, of {len(report.draws)} draws and the noise"
+    return side_by_side(
+        "What the posterior predicts",
+        picture("spread of the posterior's draws (sd)", 1000 * spread, 0.0, 1000 * widest, "mm"),
+        picture(words, surprise, -SURPRISE, SURPRISE, "sd"),
+    )
+
+
+def picture(words: str, values: np.ndarray, low: float, high: float, unit: str, marks: str = "") -> str:
+    """Return a figure of values (H, W) with its scale, and marks over it."""
+    anchors = pictures.RESIDUAL_ANCHORS if low < 0.0 else pictures.DEPTH_ANCHORS
+    ramp = ", ".join("#" + colour for colour in anchors)
+    form = ".2f" if unit == "m" else "+.1f" if low < 0.0 else ".1f"
+    return (
+        f'<figure><div class="layers"><img src="{pictures.painted_uri(values, low, high, anchors)}" '
+        f'alt="{escape(words)}">{marks}</div><figcaption><span>{escape(words)}</span><span>{low:{form}} '
+        f'<span class="bar" style="background:linear-gradient(90deg, {ramp})"></span> {high:{form}} {unit}</span>'
+        "</figcaption></figure>"
     )

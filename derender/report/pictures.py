@@ -1,25 +1,23 @@
 """Arrays as pictures, without matplotlib: a report has to be written in a fraction of a second.
 
-And the pictures of a report: what was seen, what explains it, what is left, and what the posterior predicts; drawn over
-them outlines of objects and of regions in doubt, and a scale bar.
+Drawn over them: outlines of objects and of regions in doubt, and a scale bar.
 """
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from derender.atomic import write_bytes
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.report.contents import Report
+from derender.render.raycast.depth import render_depth
+from derender.render.renderers.preview import default_colours, draw_preview
 from derender.results.trust import Region
-from derender.scene import solids as kinds
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.solids import Solids
@@ -102,8 +100,6 @@ def depth_limits(depth: np.ndarray, objects: np.ndarray | None = None) -> tuple[
 
 def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
     """Return (N, 3) uint8, the colour of each solid in all pictures: the one that its name says, or one of its own."""
-    from derender.render.renderers.preview import default_colours
-
     colours = default_colours(solids)
     for index, name in enumerate(names):
         for word in name.lower().replace("-", "_").replace(" ", "_").split("_"):
@@ -118,9 +114,6 @@ def shade(solids: Solids, camera: Camera, names: Sequence[str] = (), samples: in
 
     samples : of each pixel, along either side. colours : (N, 3) uint8; None: as `colours_of` has them.
     """
-    from derender.render.raycast.depth import render_depth
-    from derender.render.renderers.preview import draw_preview
-
     colours = colours_of(solids, names) if colours is None else colours
     return draw_preview(render_depth, solids, camera, colours, samples, shadows)
 
@@ -206,100 +199,3 @@ def scale_bar(camera: Camera, distance: float) -> str:
     line += f'<path class="scale" {bar} stroke-width="{0.012 * width:.1f}"/>'
     place = f'x="{x:.1f}" y="{y - 0.5 * size:.1f}" font-size="{size:.1f}"'
     return f'{line}<text class="scale" {place}>{words}</text>'
-
-
-# A residual picture's scale: what holds all but 5 % of the residuals, yet no less than 2 mm and no more than 5 cm.
-RESIDUAL_SCALE = (0.002, 0.05)
-PREDICTED = 320  # columns of the pictures of the posterior predictive, at most
-SURPRISE = 4.0  # standard deviations at the ends of that picture's scale
-
-
-def depth_pictures(report: Report) -> str:
-    """Return the pictures of a report's image and of what explains it, as HTML; none without a camera."""
-    if report.camera is None:
-        return ""
-    from derender.render.raycast.depth import render_depth
-
-    clean, label = render_depth(report.solids, report.camera)
-    explained = as_compared(clean, report.likelihood)
-    objects = [(name, label == index) for index, name in enumerate(report.solid_names)
-               if report.solids.kind[index] != kinds.PLANE]  # fmt: skip
-    near = np.isin(label, np.flatnonzero(report.solids.kind != kinds.PLANE))
-    if report.observed is None:
-        low, high = depth_limits(explained, near)
-        still = png_uri(shade(report.solids, report.camera, report.solid_names))
-        marks = marks_svg(report.camera.shape, objects)
-        scene = f'<figure><div class="layers"><img src="{still}" alt="the scene">{marks}</div></figure>'
-        return row("Depth", picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, marks), scene)
-    low, high = depth_limits(report.observed, near)
-    regions: list[Region] = [region for doubt in report.doubts for region in doubt.regions]
-    middle = report.observed[near & np.isfinite(report.observed)]
-    middle = middle if middle.size else report.observed[np.isfinite(report.observed)]
-    bar = scale_bar(report.camera, float(np.median(middle))) if middle.size else ""
-    marks = marks_svg(report.camera.shape, objects, regions, bar)
-    plain, doubtful = marks_svg(report.camera.shape, objects), marks_svg(report.camera.shape, objects, regions)
-    residual = report.observed - explained
-    known = np.abs(residual[np.isfinite(residual)])
-    scale = float(np.clip(np.percentile(known, 95), *RESIDUAL_SCALE)) if known.size else RESIDUAL_SCALE[0]
-    words = "residual: observed − explained"
-    words += f" (median |r| {1000 * np.median(known):.1f} mm)" if known.size else ""
-    ends = -1000 * scale, 1000 * scale
-    return row(
-        "Depth",
-        picture("observed depth", report.observed, low, high, "m", DEPTH_ANCHORS, marks),
-        picture("explained depth", explained, low, high, "m", DEPTH_ANCHORS, plain),
-        picture(words, 1000 * residual, *ends, "mm", RESIDUAL_ANCHORS, doubtful),
-    ) + _predictive(report, report.observed)
-
-
-def row(title: str, *figures: str) -> str:
-    """Return figures beside each other under a title."""
-    return f'<h2>{title}</h2><div class="pictures">{"".join(figures)}</div>'
-
-
-def as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
-    """Return the depth image that the likelihood compares with the observed one: background filled in, blurred."""
-    from derender.render.blur import blur
-
-    background, sigma = likelihood.get("background"), likelihood.get("blur")
-    filled = depth if not isinstance(background, float) else np.fmin(depth, background)
-    return blur(filled, sigma) if isinstance(sigma, float) and np.all(np.isfinite(filled)) else filled
-
-
-def _predictive(report: Report, observed: np.ndarray) -> str:
-    """Return pictures of the posterior predictive: how far its draws scatter, and how surprising the image is."""
-    from derender.render.raycast.depth import render_depth
-
-    camera = report.camera
-    if len(report.draws) < 2 or camera is None or all(row["draws"].size == 1 for row in report.parameters):
-        return ""
-    step = max(1, -(-camera.width // PREDICTED))
-    some = np.s_[::step, ::step]  # after the blur: pixels of a smaller camera would not mix with their neighbours
-    seen = observed[some]
-    drawn = np.array([as_compared(render_depth(each, camera)[0], report.likelihood)[some] for each in report.draws])
-    mean, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
-    noise = report.likelihood.get("sigma", 0.0) + report.likelihood.get("sigma_growth", 0.0) * mean**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        surprise = (seen - mean) / np.hypot(spread, noise)
-    widest = np.nanpercentile(spread, 90) if np.isfinite(spread).any() else 0.0
-    widest = float(np.clip(widest, 5e-4, 0.05))
-    words = f"surprise: (observed − predicted) / sd, of {len(report.draws)} draws and the noise"
-    return row(
-        "What the posterior predicts",
-        picture("spread of the posterior's draws (sd)", 1000 * spread, 0.0, 1000 * widest, "mm", DEPTH_ANCHORS),
-        picture(words, surprise, -SURPRISE, SURPRISE, "sd", RESIDUAL_ANCHORS),
-    )
-
-
-def picture(
-    words: str, values: np.ndarray, low: float, high: float, unit: str, anchors: tuple[str, ...], marks: str = ""
-) -> str:
-    """Return a figure of values (H, W) with its scale, and marks over it."""
-    ramp = ", ".join("#" + colour for colour in anchors)
-    form = ".2f" if unit == "m" else "+.1f" if low < 0.0 else ".1f"
-    return (
-        f'<figure><div class="layers"><img src="{painted_uri(values, low, high, anchors)}" '
-        f'alt="{escape(words)}">{marks}</div><figcaption><span>{escape(words)}</span><span>{low:{form}} '
-        f'<span class="bar" style="background:linear-gradient(90deg, {ramp})"></span> {high:{form}} {unit}</span>'
-        "</figcaption></figure>"
-    )
