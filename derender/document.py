@@ -7,10 +7,11 @@ again gives the same floats, bit for bit.
 import math
 import os
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,15 +25,12 @@ from derender.scene.codec.scene_file import KEYS, read_prior
 from derender.scene.codec.yaml_nodes import Item
 from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml, to_yaml
 from derender.scene.distributions import Distribution
-from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
+from derender.scene.graph import STANDARD_GRAVITY, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, quaternion
-from derender.scene.priors.objects import QUATERNION, ROTATION, Value, draw, log_density
+from derender.scene.priors.objects import QUATERNION, ROTATION, Value, check_range, draw, log_density
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.tree import Prior, TreePrior
 from derender.scene.shapes import shapes
-
-if TYPE_CHECKING:
-    from derender.scene.graph import Contact, Vertex
 
 FORMAT = 1
 TOP_KEYS = ("derender", "made", "camera", *KEYS, "likelihood", "inference")
@@ -129,8 +127,6 @@ def read_document(path: str | Path) -> Document:
     Raises DerenderError : one line with file, line, address and remedy.
     """
     if str(path) == "-":
-        import sys
-
         top, folder = parse_yaml(sys.stdin.buffer.read(), "stdin"), Path.cwd()
     else:
         top, folder = read_yaml(path), Path(path).parent
@@ -140,8 +136,6 @@ def read_document(path: str | Path) -> Document:
 def read_documents() -> list[tuple[Document, str]]:
     """Read one or several YAML documents from stdin, such as `derender sample -n 10 -o -` writes; return their texts
     with them."""
-    import sys
-
     data = sys.stdin.buffer.read()
     pieces = [piece for piece in re.split(rb"(?m)^---[ \t]*\r?\n", data) if piece.strip()] or [data]
     names = ["stdin"] if len(pieces) == 1 else [f"stdin, document {number}" for number in range(1, len(pieces) + 1)]
@@ -212,7 +206,6 @@ def _read_camera(node: Node, folder: Path) -> Camera:
 def _read_likelihood(node: Node) -> LikelihoodPrior:
     """Read a likelihood's type and parameters, each a number or a distribution."""
     from derender.render.likelihoods import likelihoods
-    from derender.scene.priors.objects import check_range
 
     section = node.section()
     kind = section["type"].text(likelihoods)
@@ -286,7 +279,7 @@ def root_data(pose: np.ndarray) -> dict[str, Any]:
     return {"pose": np.asarray(pose, dtype=float).tolist()}
 
 
-def _shape_data(vertex: "Vertex", folder: Path | None) -> Any:
+def _shape_data(vertex: Vertex, folder: Path | None) -> Any:
     data: dict[str, Any] = {"type": vertex.shape, **vertex.parameters}
     for key in shapes[vertex.shape].options:
         value = vertex.options.get(key)
@@ -297,7 +290,7 @@ def _shape_data(vertex: "Vertex", folder: Path | None) -> Any:
     return data if len(data) > 1 else vertex.shape
 
 
-def _contact_data(contact: "Contact") -> dict[str, Any]:
+def _contact_data(contact: Contact) -> dict[str, Any]:
     data, values = {"type": contact.type, **contact.named_faces}, dict(contact.values)
     if any(key in values for key in ROTATION):
         data["position"] = [values.pop(key, 0.0) for key in "xyz"]

@@ -2,8 +2,10 @@
 them inferred in a process of its own, told in rows."""
 
 import glob
+import multiprocessing
 import os
 import shlex
+import threading
 import time
 import traceback
 from collections import Counter
@@ -12,16 +14,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from derender.atomic import locked, make_folder, write_bytes
-from derender.camera.depth_file import SUFFIXES, Reading
+from derender.camera.depth_file import SUFFIXES, DepthImage, Reading
+from derender.camera.image_files import png_bytes
 from derender.camera.ros_bag import FRAME, bag_frames, is_bag
 from derender.errors import DerenderError, is_unicode
 from derender.json_text import parse_json
 from derender.results.table import failed_row, rows_of
+from derender.scene.solids import PLANE
 from derender.structures.options import Options
 
 if TYPE_CHECKING:
-    from derender.camera.depth_file import DepthImage
     from derender.workflow import Request
 
 RESULT, LEDGER = "summary.json", "results.jsonl"  # a folder that holds one of them is a result, no folder of frames
@@ -268,14 +273,10 @@ def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:
         raise DerenderError("this is no summary of a result", folder / RESULT) from fault
 
 
-def write_thumbnail(path: Path, posterior: Any, seen: "DepthImage") -> None:
+def write_thumbnail(path: Path, posterior: Any, seen: DepthImage) -> None:
     """Write a small picture: the depth image, and beside it the best scene."""
-    import numpy as np
-
-    from derender.camera.image_files import png_bytes
     from derender.render.raycast.depth import render_depth
     from derender.report import pictures
-    from derender.scene.solids import PLANE
 
     step = max(1, round(seen.depth.shape[1] / THUMBNAIL_WIDTH))
     depth, camera = seen.depth[step // 2 :: step, step // 2 :: step], seen.camera.downscaled(step)
@@ -290,8 +291,6 @@ def write_thumbnail(path: Path, posterior: Any, seen: "DepthImage") -> None:
 
 def leave_with_parent() -> None:
     """End this process as soon as the one that started it has gone, however that came about."""
-    import multiprocessing
-    import threading
 
     parent = multiprocessing.parent_process()
     if parent is None:

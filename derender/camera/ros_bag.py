@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.image_files import recognise
 from derender.errors import DerenderError
 
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -188,8 +189,6 @@ def _uncompressed(data: bytes, kind: np.dtype, path: str) -> np.ndarray:
 
     Source: compressed_depth_image_transport of ROS.
     """
-    from derender.camera.image_files import recognise
-
     picture = data[COMPRESSED_HEADER:]
     units = recognise(picture, path)[0](picture).array
     if kind.kind == "u":

@@ -5,17 +5,16 @@ Scenes are dictionaries as `derender show --json` prints them. Lengths are metre
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from derender.errors import DerenderError
 from derender.evaluation.convex import distance_to_surface, intersection_over_union, surface_points
+from derender.physics.bodies import Matter, matter_of_scene
+from derender.physics.statics import find_contacts
 from derender.scene.pose import rotation_angle
 from derender.scene.shapes.kinds import ROTATIONS
-
-if TYPE_CHECKING:
-    from derender.physics.bodies import Matter
 
 # Two planes are the same support within these: wider than any depth sensor's error, narrower than a stair.
 PLANE_ANGLE = np.deg2rad(15.0)
@@ -267,7 +266,6 @@ def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
     metres] of what overlaps by more than 5 mm), `stable` (whether all stays where it is for two seconds; None where the
     scene has no gravity), `fallen`.
     """
-    from derender.physics.bodies import matter_of_scene
     from derender.physics.simulate import judge, simulate
 
     known = bool(np.any(np.asarray(scene["gravity"], float)))
@@ -281,17 +279,15 @@ def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def gaps(matter: "Matter", near: float = TOLERANCE) -> dict[tuple[str, str], float]:
+def gaps(matter: Matter, near: float = TOLERANCE) -> dict[tuple[str, str], float]:
     """Return how far the pairs of bodies that touch within `near` metres are apart; negative: how deep they overlap."""
-    from derender.physics.statics import find_contacts
-
     found = find_contacts(matter._replace(supports=()), near)
     pairs = zip(found.second.tolist(), found.first.tolist(), found.gap.tolist(), strict=True)
     deepest_last = sorted(pairs, key=lambda pair: -pair[2])
     return {(matter.bodies[a].name, matter.bodies[b].name): gap for a, b, gap in deepest_last}
 
 
-def floating(matter: "Matter", tolerance: float = TOLERANCE) -> list[str]:
+def floating(matter: Matter, tolerance: float = TOLERANCE) -> list[str]:
     """Return the bodies that nothing joins to a plane or a fixed body, through touches within `tolerance` metres."""
     near = gaps(matter, tolerance)
     held = {body.name for body in matter.bodies if body.kind == "plane" or body.fixed}
@@ -302,7 +298,7 @@ def floating(matter: "Matter", tolerance: float = TOLERANCE) -> list[str]:
     return [body.name for body in matter.bodies if body.name not in held]
 
 
-def intersecting(matter: "Matter") -> list[tuple[str, str, float]]:
+def intersecting(matter: Matter) -> list[tuple[str, str, float]]:
     """Return the pairs of bodies that overlap by more than TOLERANCE, and by how much, metres."""
     return [(*pair, -gap) for pair, gap in gaps(matter).items() if gap < -TOLERANCE]
 

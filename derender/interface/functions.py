@@ -16,7 +16,9 @@ from derender.interface.posterior import MOST_DRAWS, Posterior
 from derender.interface.scene import HEIGHT, WIDTH, Scene
 from derender.physics.intervention import intervention
 from derender.physics.outcome import Chance, probability, simulate_scene
+from derender.posterior.forward import draw_documents, observe
 from derender.registry import only_its_keywords
+from derender.render.renderers import find_renderer
 from derender.results import posterior as kept
 from derender.scene.graph import SceneGraph
 
@@ -57,8 +59,6 @@ def sample(
     >>> derender.sample("stack", seed=3).parents["yellow"]
     'red'
     """
-    from derender.posterior.forward import draw_documents
-
     document = prior if isinstance(prior, Document) else read_prior_document(prior)
     (drawn,) = draw_documents(document, 1, seed, {})
     return Scene(drawn.graph, as_camera(camera) or drawn.camera, drawn.likelihood)
@@ -85,9 +85,6 @@ def render(
     >>> image.depth.shape
     (48, 64)
     """
-    from derender.posterior.forward import observe
-    from derender.render.renderers import find_renderer
-
     scene = as_scene(scene)
     camera = as_camera(camera) or scene.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
     depth, _ = find_renderer(renderer).render_depth(scene.graph.solids(), camera)

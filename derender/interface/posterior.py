@@ -14,7 +14,9 @@ from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
 from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
+from derender.physics.outcome import Chance, Outcome, probability
 from derender.registry import only_its_keywords, suggest
+from derender.report import pictures
 from derender.report.scene_json import scene_json
 from derender.report.tables import text_table
 from derender.report.tree_text import structure_words, told_structures
@@ -25,7 +27,6 @@ from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
     from derender.interface.functions import How
-    from derender.physics.outcome import Chance, Outcome
 
 MOST_DRAWS = 100_000  # simulated where an error is asked for
 MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's page
@@ -202,13 +203,13 @@ class Posterior(kept.Posterior):
 
     def probability(
         self,
-        event: "Callable[[Outcome], bool] | str",
+        event: Callable[[Outcome], bool] | str,
         *,
         draws: int = 200,
         until: float | None = None,
         seed: int = 0,
         **how: "Unpack[How]",
-    ) -> "Chance":
+    ) -> Chance:
         """Return how probable something is to happen: (probability, standard error, draws simulated).
 
         event : what a `derender.physics.outcome.Outcome` must be like; or a verdict ("stands", "settles", "falls"); or
@@ -217,8 +218,6 @@ class Posterior(kept.Posterior):
         how : engine, duration and jobs, and what is done to the scene: push, remove, add, tilt, shake, jitter; see
             `derender.simulate`.
         """
-        from derender.physics.outcome import probability
-
         graphs = self.each_graph(np.random.default_rng(seed), draws if until is None else MOST_DRAWS)
         return probability(graphs, event, until=until, seed=seed, missed=self.missed, **how)
 
@@ -273,8 +272,6 @@ class Posterior(kept.Posterior):
         return axes
 
     def _repr_html_(self) -> str:
-        from derender.report import pictures
-
         shown = ""
         if self.image is not None:
             depth = self.image.depth

@@ -12,9 +12,13 @@ from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, document_text, write_document
 from derender.registry import only_its_keywords
+from derender.report.export import export_mjcf, export_scene
+from derender.report.geometry import solid_mesh
+from derender.report.pictures import png_uri, shade
 from derender.report.scene_json import scene_json
 from derender.results.table import extents_text
 from derender.scene.graph import SceneGraph
+from derender.scene.solids import PLANE
 
 if TYPE_CHECKING:
     import trimesh
@@ -85,8 +89,6 @@ class Scene:
         if Path(path).suffix.lower() in (".yaml", ".yml"):
             write_document(path, self.graph, self.camera, self.likelihood)
             return
-        from derender.report.export import export_scene
-
         export_scene(self.graph, path, self.camera)
 
     @only_its_keywords
@@ -111,9 +113,6 @@ class Scene:
         """
         import trimesh
 
-        from derender.report.geometry import solid_mesh
-        from derender.scene.solids import PLANE
-
         solids, scene = self.graph.solids(), trimesh.Scene()
         for index, name in enumerate(self.graph.solid_names):
             if solids.kind[index] != PLANE:
@@ -129,8 +128,6 @@ class Scene:
         >>> derender.sample("stack", seed=0).to_mjcf()[:7]
         '<mujoco'
         """
-        from derender.report.export import export_mjcf
-
         (text,) = (data for name, data in export_mjcf(self.graph, Path("scene.xml")).items() if name.endswith(".xml"))
         return text.decode()
 
@@ -147,8 +144,6 @@ class Scene:
 
     def picture_html(self) -> str:
         """Return a small shaded picture of it for a page."""
-        from derender.report.pictures import shade
-
         camera = self.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
         camera = camera.downscaled(max(1.0, camera.width / SHOWN_WIDTH))
         return picture_html(shade(self.graph.solids(), camera, self.graph.solid_names), "the scene")
@@ -156,8 +151,6 @@ class Scene:
 
 def picture_html(pixels: np.ndarray, words: str) -> str:
     """Return a small picture (H, W, 3) uint8 for a page that needs no network."""
-    from derender.report.pictures import png_uri
-
     style = f"width:{SHOWN_WIDTH}px;margin-right:8px;display:inline-block"
     return f'<img src="{png_uri(pixels)}" alt="{escape(words)}" style="{style}">'
 

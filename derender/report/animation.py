@@ -10,6 +10,9 @@ from derender.atomic import atomic_path, write_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.physics.verdict import Trajectory
+from derender.render.raycast.depth import render_depth
+from derender.render.renderers.preview import draw_preview
+from derender.report.export import glb_bytes
 from derender.report.pictures import colours_of
 from derender.scene.graph import SceneGraph
 from derender.scene.solids import PLANE, Solids
@@ -24,9 +27,6 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
 
     solids, names : the scene at the start and the names of its solids; those that the trajectory does not name stay.
     """
-    from derender.render.raycast.depth import render_depth
-    from derender.render.renderers.preview import draw_preview
-
     eye = camera.downscaled(camera.width // WIDTH or 1 / round(WIDTH / camera.width))
     moving = [k for k, name in enumerate(trajectory.names) if name in names]
     index = [names.index(trajectory.names[k]) for k in moving]
@@ -53,8 +53,6 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
     """
     path = Path(path)
     if path.suffix.lower() == ".glb":
-        from derender.report.export import glb_bytes
-
         write_bytes(path, glb_bytes(graph, trajectory))
         return
     assert camera is not None

@@ -2,21 +2,24 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.document import LikelihoodPrior
+from derender.render.likelihoods import likelihoods
 from derender.report import tables
+from derender.report.export import glb_bytes
+from derender.report.scene_json import scene_json
+from derender.report.tree_text import told_structures
 from derender.results import trust
 from derender.results.check import check_fit
 from derender.results.fit import Fit, fit_of
+from derender.results.posterior import Posterior
+from derender.results.table import as_csv, rows_of
+from derender.scene.graph import SceneGraph
 from derender.scene.solids import Solids
-
-if TYPE_CHECKING:
-    from derender.document import LikelihoodPrior
-    from derender.results.posterior import Posterior
-    from derender.scene.graph import SceneGraph
 
 SHOWN_DRAWS = 12
 
@@ -46,14 +49,14 @@ class Report(NamedTuple):
     files: Mapping[str, tuple[str, bytes]] = {}  # (media type, bytes) of what can be downloaded from the page, by name
     simulated: Mapping[str, Any] = {}  # what `derender simulate --json` said of the scene, {} where it has not run
     animations: Sequence[str] = ()  # data: URIs of moving pictures of it
-    posterior: "Posterior | None" = None  # what is shown of, and in its `meta` what is to be thought of it
+    posterior: Posterior | None = None  # what is shown of, and in its `meta` what is to be thought of it
 
 
 def report_of(
-    graph: "SceneGraph",
+    graph: SceneGraph,
     camera: Camera | None = None,
     observed: np.ndarray | None = None,
-    posterior: "Posterior | None" = None,
+    posterior: Posterior | None = None,
     title: str = "derender",
     facts: Mapping[str, Any] | None = None,
     likelihood: Mapping[str, Any] | None = None,
@@ -68,9 +71,6 @@ def report_of(
     told : (height, width) metres, the `explained.npy` of a folder; None: what the posterior holds.
     shown : whether a page is made of it: only that needs draws and downloads.
     """
-    from derender.report.scene_json import scene_json
-    from derender.report.tree_text import told_structures
-
     known: dict[str, Any] = {**sensor_words(likelihood or {}), **dict(facts or {})}
     draws, rows, structures = [], [], []
     if posterior is not None:
@@ -100,23 +100,18 @@ def report_of(
                   dict(likelihood or {}), doubts, fit, files, posterior=posterior)  # fmt: skip
 
 
-def downloads(title: str, graph: "SceneGraph", scene: Mapping[str, Any], method: str) -> dict[str, tuple[str, bytes]]:
+def downloads(title: str, graph: SceneGraph, scene: Mapping[str, Any], method: str) -> dict[str, tuple[str, bytes]]:
     """Return the files that a page offers: a row for each object as CSV, and the scene as GLB.
 
     method : with which it was inferred; of one draw there are no ranges.
     """
-    from derender.report.export import glb_bytes
-    from derender.results.table import as_csv, rows_of
-
     judged = {"trusted": scene.get("trusted", True), "doubts": scene.get("doubts", ())}
     rows = rows_of(title, {"scene": scene, "method": method, **judged})
     return {"objects.csv": ("text/csv", as_csv(rows).encode()), "scene.glb": ("model/gltf-binary", glb_bytes(graph))}
 
 
-def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]:
+def likelihood_numbers(likelihood: LikelihoodPrior | None) -> dict[str, float]:
     """Return the numbers of a file's likelihood by name, with defaults for what it leaves out or open; {} for none."""
-    from derender.render.likelihoods import likelihoods
-
     return {} if likelihood is None else likelihoods[likelihood.type].complete(likelihood.fixed)
 
 

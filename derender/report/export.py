@@ -18,6 +18,7 @@ from derender import __version__
 from derender.atomic import atomic_path, write_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
+from derender.physics.bodies import Matter, matter_of_graph
 from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
 from derender.results.posterior import Posterior, StructurePosterior
@@ -80,7 +81,6 @@ def _triangles(vertices: np.ndarray, triangles: np.ndarray, first: int = 1) -> l
 
 def export_mjcf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
     """Return the bytes of MuJoCo's XML, meshes and all: the very model that `derender simulate` runs."""
-    from derender.physics.bodies import Matter, matter_of_graph
     from derender.physics.mujoco_model import Units, World
 
     matter = matter_of_graph(graph)
@@ -100,8 +100,6 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
     The floor and every solid is a link, each on a joint from the world: fixed or floating. URDF knows boxes, spheres
     and cylinders; a mesh goes into an .obj beside the file. A plane is a thin box under it all.
     """
-    from derender.physics.bodies import matter_of_graph
-
     solids = graph.solids()
     up = upright_pose(graph)
     masses = {body.name: body.weight_in_kg() for body in matter_of_graph(graph).bodies}

@@ -14,8 +14,8 @@ from derender.camera.depth_file import DepthImage, write_depth
 from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
 from derender.json_text import finite_or_none
+from derender.results import trust
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.results.trust import trusted
 
 SIMULATION = "simulation.json"  # what `derender simulate` found; of an older result it says nothing about a new one
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json",
@@ -35,7 +35,7 @@ class Outcome:
     @property
     def trusted(self) -> bool:
         """Whether none of the doubts is serious."""
-        return trusted(self.report.doubts)
+        return trust.trusted(self.report.doubts)
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in two digits: what rests on what."""
@@ -49,19 +49,16 @@ class Outcome:
     def lines(self) -> list[tuple[str, bool]]:
         """Return what rests on what, and the table of the unknowns, in lines; and whether a line's row is doubtful."""
         from derender.report.tables import parameter_table
-        from derender.results.trust import doubtful
 
         told = [(line, False) for line in self.structures()]
         if rows := self.report.parameters:
             head, *others = parameter_table(rows).split("\n")
-            told += [(head, False), *zip(others, map(doubtful, rows), strict=True)]
+            told += [(head, False), *zip(others, map(trust.doubtful, rows), strict=True)]
         return told
 
     def verdict(self) -> list[str]:
         """Return whether the result is to be trusted, in lines."""
-        from derender.results.trust import verdict
-
-        return verdict(self.report.doubts, self.report.parameters)
+        return trust.verdict(self.report.doubts, self.report.parameters)
 
     def details(self) -> str:
         """Return what was found of the sensor, and how long it took, in a line."""

@@ -6,6 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from derender.render.likelihoods import likelihoods
+from derender.sampling.diagnostics import summary, unwrap
+from derender.scene.contacts import contacts
+from derender.scene.priors.reading import contact_parameters
+from derender.scene.shapes import shapes
+
 READ_AS = {"rad": ("°", 180 / np.pi), "m": ("mm", 1000.0)}  # what people read, and how many of it make one of ours
 ROOT_ANGLES = ("elevation", "azimuth", "roll")
 
@@ -26,11 +32,6 @@ def unit_of(address: str) -> tuple[str, float]:
 @functools.cache
 def _units(room: str) -> dict[str, str]:
     """Return the units of all numbers of the registered likelihoods, contacts or shapes by name."""
-    from derender.render.likelihoods import likelihoods
-    from derender.scene.contacts import contacts
-    from derender.scene.priors.reading import contact_parameters
-    from derender.scene.shapes import shapes
-
     if room == "contact":
         found = [parameter for name in contacts for parameter in contact_parameters(name).values()]
     else:
@@ -50,8 +51,6 @@ def parameter_rows(
     Returns dicts with `address`, `unit`, `scale`, the entries of `diagnostics.summary` in our own units, and `draws`
     (chains, draws).
     """
-    from derender.sampling.diagnostics import summary, unwrap
-
     rows = []
     for index, address in enumerate(addresses):
         period = (periods or {}).get(address)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from derender.render.raycast.depth import render_depth
 from derender.report import pictures
 from derender.report.contents import Report
 from derender.report.geometry import solid_mesh
@@ -88,8 +89,6 @@ def _observed_points(report: Report, colours: np.ndarray) -> tuple[np.ndarray, n
     """Return some observed points, (P, 3) in the camera's frame, and their colours: that of what explains them."""
     if report.camera is None or report.observed is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-    from derender.render.raycast.depth import render_depth
-
     _, label = render_depth(report.solids, report.camera)
     rows, columns = np.nonzero(np.isfinite(report.observed))
     step = max(1, -(-len(rows) // SHOWN_POINTS))

@@ -10,17 +10,15 @@ has its normal along (a f, b f, c), and seen with a wrong f they are not right.
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.trust import LETTERS, Doubt, Region
+from derender.scene.graph import SceneGraph
 from derender.scene.polygon import convex_outline, outline_planes
-
-if TYPE_CHECKING:
-    from derender.scene.graph import SceneGraph
 
 LOOKED_AT = 1000  # pixels, about, evenly spread
 TRIES = 150  # planes through three pixels each, of each kind: one with half of the pixels is missed never
@@ -100,7 +98,7 @@ NOISY = 4.0  # times the noise of flat patches, from which on a fitted noise hid
 
 
 def check_fit(
-    graph: "SceneGraph",
+    graph: SceneGraph,
     fit: Fit,
     camera: Camera,
     observed: np.ndarray,
@@ -133,7 +131,7 @@ def check_fit(
     return tuple(sorted(doubts, key=lambda doubt: not doubt.serious))
 
 
-def beside(graph: "SceneGraph", fit: Fit, doubts: list[Doubt]) -> list[Doubt]:
+def beside(graph: SceneGraph, fit: Fit, doubts: list[Doubt]) -> list[Doubt]:
     """Return doubts about regions with the objects that these touch, in doubt where it is serious: what lies elsewhere
     may be missed, or clutter, and says nothing of these."""
     from scipy.ndimage import binary_dilation
@@ -188,7 +186,7 @@ def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
     return tuple(Region(name, label == k + 1, float(sizes[k])) for name, k in zip(cycle(LETTERS), order, strict=False))
 
 
-def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
+def background_over_floor(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions over the visible floor that are taken as background: what stands there is
     not told. What lies beyond it, the room behind a table, says nothing of what is on it."""
     valid, poses = np.isfinite(observed), graph.poses()
@@ -206,7 +204,7 @@ def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observe
     return [Doubt(f"what stands over the floor is taken as background: {words}", True, regions)] if regions else []
 
 
-def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
+def no_floor(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return doubts about whether the floor is one: it explains little beside the background, or may be a wall."""
     poses, doubts = graph.poses(), []
     planes = [poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None]
@@ -239,7 +237,7 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
     return [Doubt(f"{words}: it hides what is not explained")]
 
 
-def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
+def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return doubts about solids that are predicted where nothing returned, or something else is seen, that fill the
     image, or that its border cuts: of those that are predicted to show in FEW_PIXELS or more."""
     from scipy.ndimage import binary_erosion
@@ -270,7 +268,7 @@ def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Dou
     return doubts
 
 
-def nothing_but_a_plane(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
+def nothing_but_a_plane(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
     """Return a doubt where one surface fills the view, no wider than a thing may be: a box's side would look so too."""
     valid = np.isfinite(observed)
     alone = float(fit.explained[valid].mean()) >= ALONE and float(valid.mean()) >= SEEN
@@ -327,7 +325,7 @@ def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -
     return [Doubt(f"{words}, {best * focal:.0f} pixels and not {focal:.0f}: check its intrinsics")]
 
 
-def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:
+def faces_of(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:
     """Return the Faces of the floor and of boxes that the image (H, W) shows, told apart by the best scene."""
     from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
+from derender.scene.pose import quaternion
 
 DIGITS = 6  # after the point: micrometres and microradians, a thousandth of what any sensor tells
 SIDES = ("length", "width", "height")
@@ -38,8 +39,6 @@ def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     Where only the best scene was asked for there are no ranges and no probabilities: one draw tells none.
     """
-    from derender.scene.pose import quaternion
-
     scene, drawn = summary["scene"], summary["method"] != "map"
     told = {"trusted": bool(summary["trusted"]), "doubts": list(summary["doubts"])}
     rows = []

@@ -53,7 +53,7 @@ class Doubt(NamedTuple):
 
     words: str  # which and where, a plain sentence without a full stop
     serious: bool = True  # whether the result is not to be trusted for it; else it is worth knowing
-    regions: "tuple[Region, ...]" = ()  # of the image that it is about, to be marked
+    regions: tuple[Region, ...] = ()  # of the image that it is about, to be marked
     about: Collection[str] | None = None  # names of the objects that are in doubt for it; None: all if it is serious
 
 

@@ -9,13 +9,13 @@ from on_floor import cube, on_floor
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.physics.verdict import Trajectory
-from derender.render.renderers import preview
+from derender.report import animation
 from derender.report.animation import frames, write_animation
 
 
 def test_what_does_not_move_is_drawn_once(monkeypatch):
     drawn = []
-    monkeypatch.setattr(preview, "draw_preview", lambda *_: drawn.append(0) or np.zeros((2, 2, 3), np.uint8))
+    monkeypatch.setattr(animation, "draw_preview", lambda *_: drawn.append(0) or np.zeros((2, 2, 3), np.uint8))
     graph = on_floor(cube("red", side=0.1))
     solids, times = graph.solids(), np.arange(0.0, 1.001, 0.05)
     poses = np.repeat(solids.pose[None, [graph.solid_names.index("red")]], len(times), axis=0)
