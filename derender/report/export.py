@@ -103,8 +103,7 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
     solids = graph.solids()
     up = upright_pose(graph)
     masses = {body.name: body.weight_in_kg() for body in matter_of_graph(graph).bodies}
-    robot = ElementTree.Element("robot", name=path.stem)
-    ElementTree.SubElement(robot, "link", name="world")
+    robot = _element("robot", _element("link", name="world"), name=path.stem)
     files: dict[str, bytes] = {path.name: b""}
     for index, (name, colour) in enumerate(_coloured(graph, solids)):
         kind, size, pose = int(solids.kind[index]), solids.size[index], up @ solids.pose[index]
@@ -114,32 +113,33 @@ def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> 
             size = np.array([2 * extent, 2 * extent, PLANE_THICKNESS])
             pose = up @ patch
             pose[:3, 3] -= 0.5 * PLANE_THICKNESS * pose[:3, 2]
-        link = ElementTree.SubElement(robot, "link", name=name)
-        if not fixed:
-            _add_inertia(link, kind, size, masses[name])
-        for role in ("visual", "collision"):
-            part = ElementTree.SubElement(link, role)
-            geometry = ElementTree.SubElement(part, "geometry")
-            if kind == kinds.SPHERE:
-                ElementTree.SubElement(geometry, "sphere", radius=_text(0.5 * size[0]))
-            elif kind == kinds.CYLINDER:
-                ElementTree.SubElement(geometry, "cylinder", radius=_text(0.5 * size[0]), length=_text(size[2]))
-            elif kind == kinds.MESH:
-                file = f"{path.stem}_{name}.obj"
-                files[file] = ("\n".join(_triangles(*solid_mesh(solids, index))) + "\n").encode()
-                ElementTree.SubElement(geometry, "mesh", filename=file)
-            else:
-                ElementTree.SubElement(geometry, "box", size=_text(*size))
-            if role == "visual":
-                material = ElementTree.SubElement(part, "material", name=f"{name}_colour")
-                ElementTree.SubElement(material, "color", rgba=_text(*colour, 1.0))
-        joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type="fixed" if fixed else "floating")
-        ElementTree.SubElement(joint, "parent", link="world")
-        ElementTree.SubElement(joint, "child", link=name)
-        ElementTree.SubElement(joint, "origin", xyz=_text(*pose[:3, 3]), rpy=_text(*roll_pitch_yaw(pose)))
+        form = "box", {"size": _text(*size)}
+        if kind == kinds.SPHERE:
+            form = "sphere", {"radius": _text(0.5 * size[0])}
+        elif kind == kinds.CYLINDER:
+            form = "cylinder", {"radius": _text(0.5 * size[0]), "length": _text(size[2])}
+        elif kind == kinds.MESH:
+            form = "mesh", {"filename": f"{path.stem}_{name}.obj"}
+            text = "\n".join(_triangles(*solid_mesh(solids, index))) + "\n"
+            files[form[1]["filename"]] = text.encode()
+        shape = [_element("geometry", ElementTree.Element(*form)) for _ in range(2)]
+        material = _element("material", _element("color", rgba=_text(*colour, 1.0)), name=f"{name}_colour")
+        inertia = [] if fixed else [_inertial(kind, size, masses[name])]
+        parts = *inertia, _element("visual", shape[0], material), _element("collision", shape[1])
+        place = _element("origin", xyz=_text(*pose[:3, 3]), rpy=_text(*roll_pitch_yaw(pose)))
+        ends = _element("parent", link="world"), _element("child", link=name), place
+        joint = _element("joint", *ends, name=f"{name}_joint", type="fixed" if fixed else "floating")
+        robot.extend([_element("link", *parts, name=name), joint])
     ElementTree.indent(robot)
     files[path.name] = ElementTree.tostring(robot, xml_declaration=True, encoding="utf-8")
     return files
+
+
+def _element(tag: str, *inside: ElementTree.Element, **attributes: str) -> ElementTree.Element:
+    """Return an element of XML with what is inside it."""
+    element = ElementTree.Element(tag, attributes)
+    element.extend(inside)
+    return element
 
 
 def roll_pitch_yaw(pose: np.ndarray) -> np.ndarray:
@@ -150,21 +150,18 @@ def roll_pitch_yaw(pose: np.ndarray) -> np.ndarray:
         return Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")
 
 
-def _add_inertia(link: Any, kind: int, size: np.ndarray, mass: float) -> None:
+def _inertial(kind: int, size: np.ndarray, mass: float) -> ElementTree.Element:
     a, b, c = size
     if kind == kinds.SPHERE:
         moments = np.full(3, mass * a * a / 10)
     elif kind == kinds.CYLINDER:
         across = mass * (3 * (a / 2) ** 2 + c * c) / 12
         moments = np.array([across, across, mass * (a / 2) ** 2 / 2])
-    else:
-        # A mesh is taken as its oriented box.
+    else:  # a mesh is taken as its oriented box
         moments = mass * np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 12
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", value=_text(mass))
-    inertia = ElementTree.SubElement(inertial, "inertia", ixy="0", ixz="0", iyz="0")
-    for key, moment in zip(("ixx", "iyy", "izz"), moments, strict=True):
-        inertia.set(key, _text(moment))
+    own = dict(zip(("ixx", "iyy", "izz"), map(_text, moments), strict=True))
+    inertia = _element("inertia", ixy="0", ixz="0", iyz="0", **own)
+    return _element("inertial", _element("mass", value=_text(mass)), inertia)
 
 
 def _text(*numbers: float) -> str:
