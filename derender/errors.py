@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any, NamedTuple
 
 LONGEST = 400  # characters of each part of an error's line: names and paths of a thousand say no more
@@ -58,6 +59,14 @@ def at_fault(where: object) -> Iterator[None]:
         if error.where is not None:
             raise
         raise DerenderError(error.what, where, error.remedy) from error
+
+
+def optional(module: str, what: str, remedy: str, where: object = None) -> Any:
+    """Return a module that need not be installed. Raises DerenderError : it is not, `what` needs it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise DerenderError(what, where, remedy) from None
 
 
 class Idle(NamedTuple):

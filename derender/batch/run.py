@@ -34,7 +34,7 @@ from derender.batch.frames import (
 )
 from derender.batch.ledger import Ledger
 from derender.compilation.threads import THREADS_VARIABLE, each_one_of_many, interruptible
-from derender.errors import DerenderError
+from derender.errors import DerenderError, optional
 from derender.json_text import parse_json
 
 if TYPE_CHECKING:
@@ -234,17 +234,13 @@ class Cluster:
     """
 
     def __init__(self, scheduler: str, order: Order, output: str) -> None:
-        try:
-            from distributed import Client
-        except ImportError:
-            remedy = "pip install 'derender[dask]'"
-            raise DerenderError("Dask is not installed", "--scheduler", remedy) from None
+        dask = optional("distributed", "Dask is not installed", "pip install 'derender[dask]'", "--scheduler")
         if "://" not in scheduler and ":" not in scheduler and not os.path.isfile(scheduler):
             raise DerenderError("there is no such scheduler file", scheduler, SCHEDULER)
         _check_that_one_answers(scheduler)
         given = {"scheduler_file": scheduler} if os.path.isfile(scheduler) else {"address": scheduler}
         try:
-            self.client = Client(**given, timeout=PATIENCE, set_as_default=False)
+            self.client = dask.Client(**given, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise DerenderError(f"no scheduler answers ({error})", scheduler, SCHEDULER) from None
         self.order, self.output = order, output

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.image_files import recognise
-from derender.errors import DerenderError
+from derender.errors import DerenderError, optional
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 FRAME = re.compile(r"(.+)@(\d+)")
@@ -80,17 +80,15 @@ def read_frame(path: str, topic: str | None = None) -> tuple[np.ndarray, dict[st
 @contextmanager
 def _opened(path: str) -> Iterator[Any]:
     """Open a bag; what is wrong with it is a DerenderError."""
+    needed = "reading bags needs rosbags", "pip install 'derender[ros]'", path
+    bags, types = (optional(f"rosbags.{name}", *needed) for name in ("highlevel", "typesys"))
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise DerenderError("reading bags needs rosbags", path, "pip install 'derender[ros]'") from None
-    try:
-        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        kinds = types.get_typestore(types.Stores.ROS2_HUMBLE)
+        with bags.AnyReader([Path(path)], default_typestore=kinds) as reader:
             yield reader
     except FileNotFoundError:
         raise DerenderError("cannot read the bag: No such file or directory", path, "check the path") from None
-    except (AnyReaderError, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
+    except (bags.AnyReaderError, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
         reason = " ".join(str(error).split())[:120]
         remedy = "play it and record it anew, or run `rosbag reindex`"
         raise DerenderError(f"the bag is damaged or no bag ({reason})", path, remedy) from error

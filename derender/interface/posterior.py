@@ -12,7 +12,7 @@ import numpy as np
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior
-from derender.errors import DerenderError
+from derender.errors import DerenderError, optional
 from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
 from derender.physics.outcome import Chance, Outcome, probability
 from derender.registry import only_its_keywords, suggest
@@ -98,10 +98,7 @@ class Objects(tuple[Found, ...]):
 
         Raises DerenderError : pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise DerenderError("pandas is not installed", remedy="pip install pandas") from None
+        pandas = optional("pandas", "pandas is not installed", "pip install pandas")
         rows = []
         for found in self:
             row: dict[str, Any] = {"name": found.name, "type": found.type}
@@ -229,10 +226,7 @@ class Posterior(kept.Posterior):
 
         Raises DerenderError : ArviZ is not installed.
         """
-        try:
-            import arviz
-        except ImportError:
-            raise DerenderError("ArviZ is not installed", remedy="pip install 'derender[arviz]'") from None
+        arviz = optional("arviz", "ArviZ is not installed", "pip install 'derender[arviz]'")
         image = self.image
         seen = None if image is None else blocks_of(self, image.depth, image.camera, np.random.default_rng(0))
         with tempfile.TemporaryDirectory() as folder:

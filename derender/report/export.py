@@ -17,7 +17,7 @@ import numpy as np
 from derender import __version__
 from derender.atomic import atomic_path, write_bytes
 from derender.camera.intrinsics import Camera
-from derender.errors import DerenderError
+from derender.errors import DerenderError, optional
 from derender.physics.bodies import Matter, matter_of_graph
 from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
@@ -311,10 +311,7 @@ def write_rrd(path: str | Path, graph: SceneGraph, posterior: Posterior | None =
 
     Raises DerenderError : rerun is not installed, or the file cannot be written.
     """
-    try:
-        import rerun
-    except ImportError:
-        raise DerenderError("rerun is not installed", path, "pip install 'derender[rerun]'") from None
+    rerun = optional("rerun", "rerun is not installed", "pip install 'derender[rerun]'", path)
     stream = rerun.RecordingStream("derender")
     with atomic_path(path) as temporary:
         stream.save(temporary)
