@@ -114,7 +114,6 @@ class Categorical:
     probabilities : dict of choice to probability, in the order given.
     """
 
-    __slots__ = ("probabilities", "_log", "_choices", "_cumulative")
     name = "categorical"
     names: tuple[str, ...] = ()
     size = 1
@@ -133,33 +132,20 @@ class Categorical:
             raise DerenderError("categorical: no choice has a weight above 0")
         self.probabilities = {choice: weight / total for choice, weight in weights.items() if weight > 0}
         self._log = {choice: math.log(p) if p > 0 else -math.inf for choice, p in self.probabilities.items()}
-        self._choices = tuple(self.probabilities)
+        self.choices = tuple(self.probabilities)
         self._cumulative = tuple(accumulate(self.probabilities.values()))
 
     def sample(self, rng: np.random.Generator) -> Any:
         """Return one choice."""
         threshold = rng.random() * self._cumulative[-1]
-        for choice, reached in zip(self._choices, self._cumulative, strict=True):
+        for choice, reached in zip(self.choices, self._cumulative, strict=True):
             if threshold < reached:
                 return choice
-        return self._choices[-1]
+        return self.choices[-1]
 
     def log_density(self, choice: Hashable) -> float:
         """Return the log probability of a choice; -inf for what is none."""
         return self._log.get(choice, -math.inf)
-
-    @property
-    def parameters(self) -> tuple:
-        return tuple(self.probabilities.items())
-
-    @property
-    def choices(self) -> tuple:
-        return self._choices
-
-    @property
-    def support(self) -> tuple:
-        """Return the choices."""
-        return self._choices
 
     def mean(self) -> float:
         """Return the mean of choices that are numbers."""
@@ -169,10 +155,7 @@ class Categorical:
         return isinstance(other, Categorical) and self.probabilities == other.probabilities
 
     def __hash__(self) -> int:
-        return hash(self.parameters)
-
-    def __reduce__(self) -> Any:
-        return type(self), (self.probabilities,)
+        return hash(tuple(self.probabilities.items()))
 
     def __repr__(self) -> str:
         return "{categorical: {" + ", ".join(f"{c}: {p!r}" for c, p in self.probabilities.items()) + "}}"
