@@ -13,10 +13,10 @@ from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
 from derender.document import Document, read_prior_document
 from derender.interface.posterior import MOST_DRAWS, Posterior
-from derender.interface.scene import HEIGHT, WIDTH, Scene
+from derender.interface.scene import Scene
 from derender.physics.intervention import intervention
 from derender.physics.outcome import Chance, probability, simulate_scene
-from derender.posterior.forward import draw_documents, observe
+from derender.posterior.forward import HEIGHT, WIDTH, draw_documents, observe
 from derender.registry import only_its_keywords
 from derender.render.renderers import find_renderer
 from derender.results import posterior as kept

@@ -11,6 +11,7 @@ import numpy as np
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, document_text, write_document
+from derender.posterior.forward import HEIGHT, WIDTH
 from derender.registry import only_its_keywords
 from derender.report.export import export_mjcf, export_scene
 from derender.report.geometry import solid_mesh
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from derender.interface.functions import Acts, Simulation
 
-WIDTH, HEIGHT = 160, 120  # pixels of a picture where a scene has no camera
 SHOWN_WIDTH = 240  # pixels of a picture in a notebook
 
 
