@@ -13,7 +13,7 @@ import numpy as np
 from derender.atomic import make_folder
 from derender.camera.camera_file import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.depth_file import DepthImage, Reading
-from derender.compilation.threads import import_in_background
+from derender.compilation.threads import import_in_background, interruptible
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, Idle, at_fault, idle_lines
 from derender.report.result_folder import Outcome, write_results
@@ -123,11 +123,16 @@ def asked_of_any(options: Options, prior: str | None, warn: Say = silent) -> tup
     """Read what is asked of any image, whichever it is: the prior's document and the options, their library read."""
     document = read_prior_document(prior) if prior is not None else None
     check_request(options, document, prior, warn)
-    if isinstance(options.known, str | Path):
-        from derender.structures.known.library import read_library
+    return document, with_library(options)
 
-        options = replace(options, known=read_library(options.known))
-    return document, options
+
+def with_library(options: Options) -> Options:
+    """Return the options with the library of known objects read, where they name its file."""
+    if not isinstance(options.known, str | Path):
+        return options
+    from derender.structures.known.library import read_library
+
+    return replace(options, known=read_library(options.known))
 
 
 def read_frames(images: Sequence[str], poses: str | None, reading: Reading) -> tuple[Frame, ...]:
@@ -153,8 +158,6 @@ def answer(
     warn: Say = silent,
 ) -> Outcome:
     """Infer what was asked and write it into a folder; started : when, of the monotonic clock, where that is told."""
-    from derender.compilation.threads import interruptible
-
     options, began = request.options, time.monotonic() if started is None else started
     keeps = names_objects(request.document) or options.method == "mcmc"  # checkpoints
     if options.resume and keeps and not (folder / "checkpoint").exists():
@@ -297,12 +300,10 @@ def _bare(
 ) -> tuple[Posterior, LikelihoodPrior]:
     """Infer what there is; a document is a prior of open structure."""
     from derender.structures.infer import infer_structure
-    from derender.structures.known.library import read_library
 
     precompile("draws")
     rng, told = np.random.default_rng(options.seed), _importing(progress)
-    if options.known is not None and isinstance(options.known, str | Path):
-        options = replace(options, known=read_library(options.known))
+    options = with_library(options)
     if document is not None and options.method == "mcmc":
         from derender.structures.jumps.run import infer_by_jumps
 
