@@ -94,10 +94,7 @@ POINTS = 1000
 
 
 def surface_points(solid: Mapping[str, Any]) -> np.ndarray:
-    """Return about POINTS points spread evenly over a solid's surface, always the same ones.
-
-    Returns (N, 3) float64, in the frame of the solid's pose, metres.
-    """
+    """Return (N, 3), metres in the frame of its pose, about POINTS points spread evenly over a solid's surface."""
     pose, size = np.asarray(solid["pose"], float), np.asarray(solid["size"], float)
     if solid.get("vertices") is not None:
         local = _hull_points(np.asarray(solid["vertices"], float), POINTS)
@@ -111,13 +108,9 @@ def surface_points(solid: Mapping[str, Any]) -> np.ndarray:
 
 
 def distance_to_surface(points: np.ndarray, solid: Mapping[str, Any]) -> np.ndarray:
-    """Return the distance of each point to the nearest point of a solid's surface, inside or out.
+    """Return how far (N,) points (N, 3), in the frame of its pose, are from a solid's surface, metres, inside or out.
 
     Closed forms for boxes, cylinders and spheres; a hull given by its `vertices` is sampled by 20,000 points.
-
-    points : (N, 3) float64, in the frame of the solid's pose.
-
-    Returns (N,) float64, metres, never negative.
     """
     pose, size = np.asarray(solid["pose"], float), np.asarray(solid["size"], float)
     local = (points - pose[:3, 3]) @ pose[:3, :3]

@@ -89,10 +89,7 @@ def symmetries(model: Mapping[str, Any]) -> np.ndarray:
 
 
 def read_models_info(path: str | Path, models: str | Path | None = None) -> tuple[dict[str, Any], Path]:
-    """Read BOP's models_info.json: as given, or in models/ or models_eval/ beside the scene or some folders above.
-
-    Returns it and its folder.
-    """
+    """Return BOP's models_info.json and its folder: as given, or found in one of FOLDERS beside the scene or above."""
     if models is not None:
         given = Path(models)
         candidates = [given / "models_info.json" if given.is_dir() else given]
@@ -170,11 +167,9 @@ def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, An
 
 
 def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
-    """Read a label image: one number for each object.
+    """Return the labels (height, width) int64 of an image: one number for each object.
 
     divisor : labels are the file's numbers divided by this, rounded down (10 where 21 and 22 are parts of object 2).
-
-    Returns (height, width) int64.
 
     Raises DerenderError : no such picture, or one of several channels.
     """

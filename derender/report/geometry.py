@@ -33,10 +33,9 @@ PROFILES = {  # of solids of size 1
 
 
 def solid_mesh(solids: Solids, index: int, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return one solid as triangles in its own axes; of a plane a square, see `plane_patch`.
+    """Return vertices (V, 3), metres, and triangles (T, 3), counter-clockwise from outside, of a solid in its own axes.
 
-    Returns vertices : (V, 3) float64, metres.
-    triangles : (T, 3) int32, counter-clockwise seen from outside.
+    Of a plane they are a square, see `plane_patch`.
     """
     kind, size = int(solids.kind[index]), solids.size[index]
     if kind == kinds.PLANE:
@@ -54,11 +53,9 @@ def solid_mesh(solids: Solids, index: int, points: np.ndarray | None = None) -> 
 
 
 def plane_patch(solids: Solids, index: int, points: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-    """Return where a square of a plane lies that is under the whole scene, and how large it is.
+    """Return the pose (4, 4) of the middle of a plane's square that is under the whole scene, and half its side.
 
     points : (P, 3) float64 that the square should reach under, in the solids' frame; default: the other solids.
-
-    Returns pose (4, 4) float64 of the middle of the square, half width in metres.
     """
     pose = solids.pose[index].copy()
     others = solids.pose[solids.kind != kinds.PLANE, :3, 3]

@@ -55,12 +55,10 @@ EVERY = 400  # draws of a structure from which a size's range is told, at most
 
 
 def size_intervals(posterior: Posterior) -> dict[str, list[list[float]] | None]:
-    """Return the 90 % interval of each full extent of each object of the most probable scene, along its own axes.
+    """Return by name the 90 % intervals (low, high), metres, of an object's three full extents along its own axes.
 
     A structure's draws count with its weight; those without the object say nothing. None for what has no size; the size
     twice for what has nothing unknown.
-
-    Returns {name: [[low, high], [low, high], [low, high]] in metres, or None}
     """
     found: dict[str, list[list[float]] | None] = {}
     for vertex in posterior.best_part.graph.vertices:

@@ -43,13 +43,11 @@ def _units(room: str) -> dict[str, str]:
 def parameter_rows(
     addresses: Sequence[str], values: np.ndarray, periods: Mapping[str, float | None] | None = None
 ) -> list[dict[str, Any]]:
-    """Return a row for each free number of one structure.
+    """Return a row for each free number of one structure: `address`, `unit`, `scale`, the entries of
+    `diagnostics.summary` in our own units, and `draws` (chains, draws).
 
     values : (chains, draws, P) float64, in metres and radians.
     periods : of those that are angles; they are unwrapped about their circular mean.
-
-    Returns dicts with `address`, `unit`, `scale`, the entries of `diagnostics.summary` in our own units, and `draws`
-    (chains, draws).
     """
     rows = []
     for index, address in enumerate(addresses):

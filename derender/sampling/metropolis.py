@@ -80,7 +80,8 @@ def pick(rng, cumulative):
 
 @njit(cache=True, nogil=True)
 def walk(rng, calls, target, steps, now, temperature, gain, done, thin, kept, counts):
-    """Take len(kept) * thin steps, of which `done` are done, and keep every `thin`-th place.
+    """Take len(kept) * thin steps, of which `done` are done, and keep every `thin`-th place; return how many are done,
+    and the number of the kernel whose step the caller has to take, or -1.
 
     calls : (2,) int64, the addresses of attempt(rng, target, k, scale, temperature), which returns the log ratio of a
         step of kernel k, NaN where the caller has to take it, and of settle(target, accepted), which makes it the
@@ -88,8 +89,6 @@ def walk(rng, calls, target, steps, now, temperature, gain, done, thin, kept, co
     steps : Steps. now : (P + 2,) float64, values, log prior and log likelihood, as `settle` leaves them.
     temperature : exponent of the likelihood. gain : of the adaptation of steps.scale; 0: none.
     kept : (draws, P + 2) float64, written. counts : (K, 2) int64 (steps, accepted ones), added to.
-
-    Returns how many steps are done, and the number of the kernel whose step the caller has to take, or -1.
     """
     count = len(kept) * thin
     for taken in range(done, count):
