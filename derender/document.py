@@ -19,7 +19,7 @@ from derender import __version__, data_path
 from derender.atomic import write_text
 from derender.camera.camera_file import read_camera
 from derender.camera.intrinsics import Camera
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.registry import suggest
 from derender.scene.codec.scene_file import KEYS, read_prior
 from derender.scene.codec.yaml_nodes import Item
@@ -197,10 +197,8 @@ def _read_camera(node: Node, folder: Path) -> Camera:
     sizes = {key: node[key].integer(lower=1, upper=100_000) for key in ("width", "height")}
     scale = {"depth_scale": node["depth_scale"].number()} if "depth_scale" in node else {}
     down = {"gravity": [part.number() for part in node["gravity"].sequence(3)]} if "gravity" in node else {}
-    try:
+    with at_fault(node.where, always=True):
         return Camera(**floats, **sizes, **scale, **down)  # type: ignore[arg-type]
-    except DerenderError as error:
-        raise node.fault(error.what, error.remedy) from None
 
 
 def _read_likelihood(node: Node) -> LikelihoodPrior:

@@ -51,12 +51,15 @@ def is_unicode(name: str) -> bool:
 
 
 @contextmanager
-def at_fault(where: object) -> Iterator[None]:
-    """Name `where` in every DerenderError of the block that does not say where: the file that a user gave."""
+def at_fault(where: object, always: bool = False) -> Iterator[None]:
+    """Name `where` in every DerenderError of the block that does not say where: the file that a user gave.
+
+    always : also in place of what one says.
+    """
     try:
         yield
     except DerenderError as error:
-        if error.where is not None:
+        if error.where is not None and not always:
             raise
         raise DerenderError(error.what, where, error.remedy) from error
 

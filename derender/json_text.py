@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from typing import Any
 
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 
 MOST_DEPTH = 64  # a scene, a camera or a header nests at most ten deep
 
@@ -17,11 +17,10 @@ def parse_json(text: str | bytes, where: object = None) -> Any:
     Raises DerenderError : it is no JSON, a key stands twice in one object, or it is nested deeper than MOST_DEPTH.
     """
     try:
-        tree = json.loads(text, object_pairs_hook=_without_duplicates)
+        with at_fault(where):
+            tree = json.loads(text, object_pairs_hook=_without_duplicates)
         if _depth(tree) > MOST_DEPTH:
             raise RecursionError
-    except DerenderError as error:
-        raise DerenderError(error.what, where, error.remedy) from None
     except RecursionError:
         raise DerenderError(f"the JSON is nested more than {MOST_DEPTH} deep", where, "write it again") from None
     except ValueError as error:

@@ -324,10 +324,8 @@ def read_poses(path: str | Path, images: Sequence[str]) -> np.ndarray:
     found = poses_in(_tree(path))
     if found is None:
         raise DerenderError("there are no poses in it", path, REMEDY)
-    try:
+    with at_fault(path, always=True):
         return _of_images(found, images)
-    except DerenderError as error:
-        raise DerenderError(error.what, path, error.remedy) from None
 
 
 def poses_of_camera_file(path: str | None, images: Sequence[str]) -> np.ndarray | None:

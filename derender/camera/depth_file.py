@@ -36,7 +36,7 @@ from derender.camera.image_files import (
 )
 from derender.camera.intrinsics import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera, unit_vector
 from derender.camera.ros_bag import is_bag, read_frame
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.registry import only_its_keywords
 
 TURNS = (0, 90, 180, 270)  # degrees clockwise
@@ -105,9 +105,8 @@ def read_depth(
         data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
         decoder, name = recognise(data, path)
         try:
-            decoded = decoder(data)
-        except DerenderError as error:
-            raise DerenderError(error.what, path, error.remedy) from None
+            with at_fault(path, always=True):
+                decoded = decoder(data)
         except DAMAGE as error:
             told = next((part for part in error.args if isinstance(part, str)), "")
             reason = " ".join(told.split())[:120] or type(error).__name__
@@ -231,10 +230,8 @@ def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]
     if given is not None:
         return read_camera(given, shape, frame=Path(path).stem), False
     if inside is not None:
-        try:
+        with at_fault(f"{path}: camera", always=True):
             return camera_from_tree(inside, shape), False
-        except DerenderError as error:
-            raise DerenderError(error.what, f"{path}: camera", error.remedy) from None
     beside = camera_beside(path)
     if beside is not None:
         return read_camera(beside, shape, frame=Path(path).stem), False

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.registry import suggest
 
 # What YAML 1.1 readers take for something else than text when it is not quoted.
@@ -88,10 +88,8 @@ class Item(Node):
         """Return the number in the base unit; refuse one outside [lower, upper]."""
         if self.empty:
             self._expected("a number")
-        try:
+        with at_fault(self.where):
             value = parse_number(self.raw, unit)
-        except DerenderError as error:
-            raise self.fault(error.what, error.remedy) from None
         if self.quoted and not re.search(r"[a-z]\s*$", self.raw):
             raise self.fault(
                 f"the number {shown(self.raw)} stands in quotes and so is text", f"write {self.raw.strip()}"
