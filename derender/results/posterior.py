@@ -325,21 +325,17 @@ def check_parts(parts: Sequence[Any]) -> None:
                 raise DerenderError(f"{address!r} is no number of its scene")
         if len(set(part.addresses)) < unknowns:
             raise DerenderError("an unknown stands twice")
-        values = part.values
-        if values.ndim != 3 or values.shape[2] != unknowns or not values.shape[0] * values.shape[1]:
-            raise DerenderError(f"its draws have the shape {values.shape} for {unknowns} unknowns")
-        if part.log_prior.shape != values.shape[:2] or part.log_likelihood.shape != values.shape[:2]:
-            raise DerenderError("its densities are not those of its draws")
-        if part.root_pose is not None:
-            if part.root_pose.shape != (*values.shape[:2], 4, 4):
-                raise DerenderError("its root's poses are not those of its draws")
-            turns = part.root_pose[..., :3, :3]
-            if not np.allclose(turns @ np.moveaxis(turns, -1, -2), np.eye(3), atol=TURNS_SLIP):
-                raise DerenderError("its root's poses are not rigid")
-        for array in part.arrays.values():
+        drawn = part.values.shape[:2]
+        of_each = {"values": (unknowns,), "log_prior": (), "log_likelihood": (), "root_pose": (4, 4)}
+        for key, array in part.arrays.items():
+            if array.shape != (*drawn, *of_each[key]) or len(drawn) < 2 or 0 in drawn:
+                raise DerenderError(f"its {key} of {unknowns} unknowns have the shape {array.shape}")
             if array.dtype.kind != "f" or not np.isfinite(array).all():
                 raise DerenderError("it holds numbers that are not finite")
-        for address, draws in zip(part.addresses, np.moveaxis(values, -1, 0), strict=True):
+        turns = np.eye(3) if part.root_pose is None else part.root_pose[..., :3, :3]
+        if not np.allclose(turns @ np.moveaxis(turns, -1, -2), np.eye(3), atol=TURNS_SLIP):
+            raise DerenderError("its root's poses are not rigid")
+        for address, draws in zip(part.addresses, np.moveaxis(part.values, -1, 0), strict=True):
             name, _, number = address.partition(".")
             sizes = shapes[part.graph.vertex(name).shape].parameters if name in names else ()
             for parameter in (parameter for parameter in sizes if parameter.name == number):
