@@ -9,6 +9,7 @@ import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.errors import DerenderError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,7 +62,6 @@ def command(
         derender eval predictions/ truth/ --json | jq .total
         derender eval results/ label.png --divisor 10 --background 0,1
     """
-    from derender.errors import DerenderError
     from derender.evaluation.metrics import LABEL_SUFFIXES, compare_scenes, condition_of, mask_f1, paired, totals
     from derender.evaluation.truth import read_labels
 
@@ -121,7 +121,6 @@ def _rendered_labels(found: "Found", path: Path, shape: tuple[int, int]) -> "np.
     """Return which solid of a predicted scene each pixel sees, planes counting as nothing."""
     import numpy as np
 
-    from derender.errors import DerenderError
     from derender.render.raycast.depth import render_depth
     from derender.scene.solids import PLANE
 

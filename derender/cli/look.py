@@ -8,6 +8,7 @@ import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.errors import DerenderError
 
 SHOWN = 5  # views in the table
 LITTLE = 0.1  # nats: an image that tells no more is not worth taking
@@ -45,7 +46,6 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
 
     from derender.camera.camera_file import write_poses
     from derender.cli.reading import read_scene
-    from derender.errors import DerenderError
     from derender.physics.next_view import next_views
     from derender.report.pictures import write_view
 

@@ -8,6 +8,7 @@ import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.errors import DerenderError
 
 if TYPE_CHECKING:
     from derender.report.contents import Report
@@ -32,7 +33,6 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
         derender report results/ --table > table.txt
         derender simulate results/ && derender report results/
     """
-    from derender.errors import DerenderError
     from derender.report.html import write_report
     from derender.report.tables import parameter_table
     from derender.results.trust import trusted, verdict
@@ -54,7 +54,6 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
 def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     """Return what a page about these results shows, and the name of the first."""
     from derender.cli.reading import read_explained, read_observation, read_scene, read_simulation
-    from derender.errors import DerenderError
     from derender.report.contents import report_of
 
     found = [read_scene(folder) for folder in folders]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from derender import __version__
+from derender.atomic import write_text
 from derender.cli import options
 from derender.cli.options import Talk
 from derender.cli.reading import Found, drawn_scenes, read_scene, scene_paths
@@ -171,7 +172,6 @@ def _makes_table(scenes: Sequence[str], output: str | None, count: int | None = 
 
 def _keep(folder: Path, text: str, talk: Talk) -> None:
     """Leave what was found in the result's folder, for its page; a folder that cannot be written costs only that."""
-    from derender.atomic import write_text
     from derender.report.result_folder import SIMULATION
 
     try:
@@ -214,7 +214,6 @@ def _table(
     talk: Talk,
 ) -> int:
     """Simulate many scenes, print or write their table, and return 1 where one could not be."""
-    from derender.atomic import write_text
     from derender.physics.outcome import COLUMNS, row_of
     from derender.report.tables import text_table
     from derender.results.table import as_csv, as_lines

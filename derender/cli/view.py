@@ -6,6 +6,7 @@ import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.errors import DerenderError
 
 
 @click.command()
@@ -25,7 +26,6 @@ def command(folder: str, show: bool, talk: Talk) -> None:
     """
     from derender.cli.reading import MOVING
     from derender.cli.report import gathered
-    from derender.errors import DerenderError
     from derender.report.html import write_report
     from derender.report.result_folder import SIMULATION
 
