@@ -22,7 +22,6 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError, at_fault
 from derender.registry import suggest
 from derender.scene.codec.scene_file import KEYS, read_prior
-from derender.scene.codec.yaml_nodes import Item
 from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml, to_yaml
 from derender.scene.distributions import Distribution
 from derender.scene.graph import STANDARD_GRAVITY, Contact, SceneGraph, Vertex
@@ -187,7 +186,7 @@ def document_from(top: Section, folder: Path) -> Document:
 
 def _read_camera(node: Node, folder: Path) -> Camera:
     """Read the camera: its numbers, or the name of a camera file."""
-    if isinstance(node, Item) and not node.empty:
+    if not node.empty:
         return read_camera(folder / node.text())
     if not isinstance(node, Section):
         raise node.fault(f"here stands {node.kind}", "write {fx: ..., fy: ..., cx: ..., cy: ..., width: ..., height: "

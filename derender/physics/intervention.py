@@ -9,7 +9,7 @@ import numpy as np
 from derender.errors import DerenderError, at_fault
 from derender.physics.bodies import Body, Matter
 from derender.registry import suggest
-from derender.scene.codec.yaml_nodes import parse_number
+from derender.scene.codec.yaml_tree import parse_number
 from derender.scene.pose import from_rotation_vector, moved
 
 

@@ -5,8 +5,7 @@ import re
 import pytest
 
 from derender.errors import DerenderError
-from derender.scene.codec.yaml_nodes import parse_number, write_number
-from derender.scene.codec.yaml_tree import parse_yaml, read_yaml
+from derender.scene.codec.yaml_tree import parse_number, parse_yaml, read_yaml, write_number
 
 
 def fault(text, act=lambda top: top.plain()):

@@ -246,7 +246,7 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
         return ContactPrior((ContactRule("6dof", fill=False, places={"": place}),))
     if not isinstance(node, Section):
         kind = node.text([*contacts, ON])
-        section = Section(node.file, node.line, node.address, {}, {})
+        section = Section(node.file, node.line, node.address)
     else:
         section, kind = node, node["type"].text([*contacts, ON])
     if kind == ON:

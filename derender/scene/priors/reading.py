@@ -18,7 +18,7 @@ import numpy as np
 
 from derender.errors import DerenderError, at_fault
 from derender.registry import Parameter, suggest
-from derender.scene.codec.yaml_tree import Item, List, Node, Section
+from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution, distributions
 from derender.scene.graph import SceneGraph
@@ -93,7 +93,7 @@ def read_categorical(node: Node, choices: Iterable[str] | None = None) -> Catego
 
 def read_count(node: Node) -> Any:
     """Read a whole number, or a distribution over whole numbers from 0 up: how many."""
-    if isinstance(node, Item):
+    if not isinstance(node, Section):
         return Categorical({node.integer(lower=0, upper=1000): 1.0})
     name, detail = node.section().only()
     if name == "categorical":
@@ -123,7 +123,7 @@ def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str 
         kind, other = node["type"].text(shapes) if "type" in node or name is None else name, ", or give its type"
     else:
         kind, other = node.text(shapes) if node.plain() is not None or name is None else name, ""
-        node = Section(node.file, node.line, node.address, {}, {})
+        node = Section(node.file, node.line, node.address)
     if kind not in shapes:
         raise node.fault(f"no shape is called {kind!r}", suggest(kind, shapes) + other)
     shape = shapes[kind]
@@ -165,7 +165,7 @@ def read_rules(node: Node, name: str | None = None, fill: bool = True) -> tuple[
     if not isinstance(node, Section):
         if node.plain() is not None:
             raise node.fault("here stands no section", "write {} or {parent_face: +z, ...}")
-        node = Section(node.file, node.line, node.address, {}, {})
+        node = Section(node.file, node.line, node.address)
     kind = node["type"].text([*contacts, ON]) if "type" in node or name is None else name
     if kind not in contacts and kind != ON:
         raise node.fault(f"no contact is called {kind!r}", suggest(kind, [*contacts, ON]) + ", or give its type")
