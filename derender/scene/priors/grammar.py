@@ -208,7 +208,7 @@ class Algorithm1Prior(OpenPrior):
 
     Eq. 4 leaves out one case: with no parents and n_2 > 0 children the algorithm has no result.  `sample` draws both
     numbers again then, so the distribution of its results is Eq. 4 divided by
-    Z = 1 - exp(-mean_parents) (1 - exp(-mean_children)), the mass of all graphs under Eq. 4; `log_normaliser` is log Z.
+    Z = 1 - exp(-mean_parents) (1 - exp(-mean_children)), the mass of all graphs under Eq. 4.
     The root, always a frame, takes no part in the product over shapes.
     """
 
@@ -234,11 +234,6 @@ class Algorithm1Prior(OpenPrior):
                 if self.contacts.choices(parent.type, child.type, top) is None:
                     what = f"no contact holds a {child.type} on a {parent.type}"
                     raise fault(None, what, "add a contact for this pair or leave one of the shapes out")
-
-    @property
-    def log_normaliser(self) -> float:
-        """Log of the total mass of Eq. 4."""
-        return math.log1p(math.exp(-self.mean_parents) * math.expm1(-self.mean_children))
 
     def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
         while True:
