@@ -94,7 +94,9 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     tree = load_tree(path)
     try:
         if isinstance(tree, list) and len(tree) in (3, 9):
-            tree = _matrix_tree(tree, Path(path).name)
+            matrix = numbers_in(tree, "the matrix", 9).reshape(3, 3).tolist()
+            of_video = Path(path).name == "camera_matrix.csv"  # StrayScanner's belongs to its video
+            tree = {"K": matrix, "w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if of_video else {"cam_K": matrix}
         return camera_from_tree(tree, shape, frame)
     except DerenderError as error:
         where = path if error.where in (None, "camera") else f"{path}: {error.where}"
@@ -259,13 +261,6 @@ def _refuse_impossible(camera: Camera) -> None:
         if not -extent <= centre <= 2 * extent:
             what = f"{name} is {centre:g}, farther outside the image than it is large ({extent} pixels)"
             raise DerenderError(what, "camera", "give the camera of this image, in its pixels")
-
-
-def _matrix_tree(rows: list, name: str) -> dict[str, Any]:
-    """Return the tree of a file that is a 3 x 3 matrix and nothing else; StrayScanner's belongs to its video."""
-    stray = name == "camera_matrix.csv"
-    more = {"w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if stray else {}
-    return {"K" if stray else "cam_K": numbers_in(rows, "the matrix", 9).reshape(3, 3).tolist(), **more}
 
 
 def load_tree(

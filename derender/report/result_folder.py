@@ -15,7 +15,7 @@ from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
 from derender.json_text import finite_or_none
 from derender.results import trust
-from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.posterior import Posterior
 
 SIMULATION = "simulation.json"  # what `derender simulate` found; of an older result it says nothing about a new one
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json",
@@ -98,7 +98,15 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         "chains": int(best.values.shape[0]),
         "draws": int(best.values.shape[1]),
         "log_density": float(np.max(best.log_density)),
-        "structures": [structure_summary(part) for part in posterior.parts],
+        "structures": [
+            {
+                "weight": part.weight,
+                "weight_error": part.weight_error,
+                "weight_interval": list(part.weight_interval or (part.weight, part.weight)),
+                "objects": list(part.graph.names),
+            }
+            for part in posterior.parts
+        ],
         "extras": best.extras,
         "parameters": rows,
         "scene": report.scene,
@@ -132,14 +140,3 @@ def judged(posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, 
     numbers = likelihood_numbers(likelihood.with_values(best.likelihood_at(*best.best_place)))
     name = Path(str(posterior.meta.get("image", "image"))).name
     return report_of(posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, shown=page)
-
-
-def structure_summary(part: StructurePosterior) -> dict[str, Any]:
-    """Return what summary.json says of one structure: its weight, the 90 % interval of that, its objects."""
-    interval = (part.weight, part.weight) if part.weight_interval is None else part.weight_interval
-    return {
-        "weight": part.weight,
-        "weight_error": part.weight_error,
-        "weight_interval": list(interval),
-        "objects": list(part.graph.names),
-    }

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.posterior import Posterior
 from derender.results.table import digits, probability_text
 from derender.sampling.diagnostics import within_a_turn
 from derender.scene.graph import ROOT, SceneGraph, Vertex
@@ -97,16 +97,10 @@ def told_structures(posterior: Posterior) -> list[tuple[str, str]]:
     The probability is said as `probability_text` does, and what no image tells, things behind others, comes last.
     """
     ordered = sorted(posterior.parts, key=lambda part: -part.weight)
-    first = ordered[0].graph
-    others = [part for part in ordered[1:] if part.weight >= SHOWN_WEIGHT]
-    told = [(said(ordered[0]), structure_words(first))]
-    told += [(said(part), structure_words(part.graph, first)) for part in others]
-    return told
-
-
-def said(part: StructurePosterior) -> str:
-    """Return a structure's probability in words."""
-    return probability_text(part.weight, part.weight_error, part.weight_interval)
+    shown = [ordered[0], *(part for part in ordered[1:] if part.weight >= SHOWN_WEIGHT)]
+    words = [structure_words(part.graph, ordered[0].graph if k else None) for k, part in enumerate(shown)]
+    said = [probability_text(part.weight, part.weight_error, part.weight_interval) for part in shown]
+    return list(zip(said, words, strict=True))
 
 
 def hidden_words(posterior: Posterior) -> list[str]:

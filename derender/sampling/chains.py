@@ -146,9 +146,6 @@ class Plan(NamedTuple):
     records: Mapping[int, Record] = {}  # by number, of chains that go on from there
     checkpoint_seconds: float = 2.0  # time between two checkpoints of a chain
 
-    def checkpoint_path(self, number: int) -> Path | None:
-        return None if self.folder is None else Path(self.folder) / f"chain_{number}.npz"
-
 
 Stop = Callable[[], bool]
 Progress = Callable[[int, int, int], None]
@@ -193,7 +190,7 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
 
     A short chain that runs to its end writes no checkpoint: to repeat it costs less.
     """
-    path = plan.checkpoint_path(number)
+    path = None if plan.folder is None else Path(plan.folder) / f"chain_{number}.npz"
     if path is not None:  # what a kill left behind in the midst of writing
         for torn in path.parent.glob(f".{path.stem}-*"):
             torn.unlink(missing_ok=True)
