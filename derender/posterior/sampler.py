@@ -100,6 +100,9 @@ class MixtureSampler:
     places: np.ndarray | None = None  # (n, P) to start from; None: they are looked for
     learned: Tuning | None = None  # what fits them
     height: float = -math.inf  # mean log posterior density of the walks that met them
+    seen: np.ndarray | None = (
+        None  # (n, P) places, likeliest first, at which half of the first walks begin; None: unasked
+    )
 
     @cached_property
     def _first(self) -> Backend:
@@ -108,6 +111,13 @@ class MixtureSampler:
     def backend(self) -> Backend:
         """Return what runs the mixture, for one thread and one stretch: it outlives none of the values returned."""
         return self._first.twin()
+
+    @property
+    def seen_height(self) -> float:
+        """The log posterior density of the likeliest of those, -inf without any."""
+        return (
+            -math.inf if self.seen is None or not len(self.seen) else float(sum(self.backend().evaluate(self.seen[0])))
+        )
 
     def prepared(self, seed: int) -> "MixtureSampler":
         """Return the sampler with typical places that walks met together, and the steps that fit them."""
@@ -157,7 +167,10 @@ class MixtureSampler:
         ])  # fmt: skip
         logs = np.array([each.log_evidence for each in found])
         values, weights = np.concatenate([each.values for each in found]), np.exp(logs - logs.max())
-        return values[rng.permutation(systematic(rng, np.repeat(weights, self.population)))]
+        places = values[rng.permutation(systematic(rng, np.repeat(weights, self.population)))]
+        if self.seen is None or not len(self.seen):
+            return places
+        return np.concatenate([self.seen[np.arange(WALKS // 2) % len(self.seen)], places])
 
     def walked(self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, rounds: int, gain: float) -> Walk:
         """Return the Walk of so many rounds, in which the scales of its steps adapt."""

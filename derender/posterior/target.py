@@ -196,6 +196,12 @@ class SceneTarget:
         self.uncompiled = ""  # what had no compiled form when a backend was asked for, see `backend_of`
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
+    @property
+    def sizes_open(self) -> bool:
+        """Whether extents are unknown: populations of particles miss such a scene more often than not."""
+        return any(address.partition(".")[0] not in ("root", "likelihood") and ".contact." not in address
+                   for address in self.space.addresses)  # fmt: skip
+
     def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         """Return the values by address."""
         return {address: float(value) for address, value in zip(self.space.addresses, values, strict=True)}

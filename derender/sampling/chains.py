@@ -29,7 +29,7 @@ from derender.json_text import parse_json
 # mode. Each has its own streams, children of a SeedSequence: numpy takes a list such as [seed, 0] for the seed alone,
 # and seed + 1 for the next seed, which would share numbers. A chain has the child of its own number, without a use
 # before it.
-SCENES, STRUCTURES, POPULATIONS, SEARCHES = range(1, 5)
+SCENES, STRUCTURES, POPULATIONS, SEARCHES, DETECTED = range(1, 6)
 
 
 def sequence(seed: int, *key: int) -> np.random.SeedSequence:

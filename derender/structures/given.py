@@ -32,6 +32,7 @@ from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import FITS, doubtful, enough_draws
 from derender.sampling import diagnostics
 from derender.sampling.chains import (
+    DETECTED,
     POPULATIONS,
     SEARCHES,
     STRUCTURES,
@@ -49,6 +50,7 @@ from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import total_log_density, with_relations
 from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes import Body
+from derender.structures.detected import places_of, solids_seen
 from derender.structures.options import Options, names_objects
 
 STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
@@ -132,9 +134,12 @@ def candidates(
         return log_prior + population.log_evidence
 
     tell(0.0, "looking at structures")
-    rough = np.array(in_threads(rng, [partial(look, target=target, log_prior=prior) for target, prior in found]))
-    possible = np.flatnonzero(rough > rough.max() - OUT_OF_THE_QUESTION).tolist()
     structures = [(sampler_of(target, mixture_of(target, settings), settings), prior) for target, prior in found]
+    structures = with_places_seen(structures, seed) if found[0][0].sizes_open else structures
+    rough = np.array(in_threads(rng, [partial(look, target=target, log_prior=prior) for target, prior in found]))
+    seen = np.array([prior + sampler.seen_height for sampler, prior in structures])
+    near = (rough > rough.max() - OUT_OF_THE_QUESTION) | (seen > seen.max() - OUT_OF_THE_QUESTION)
+    possible = np.flatnonzero(near).tolist()
     samplers = searched(structures, seed, possible,
                         lambda done: tell(0.5 + 0.3 * min(done / len(possible), 1.0), "searching"))  # fmt: skip
     heights = np.array([prior + (one.height if one is not None else -np.inf)
@@ -147,6 +152,18 @@ def candidates(
     weights, spread, intervals = shares(rng, logs, errors)
     return [Candidate(target, samplers[k], float(weights[k]), float(spread[k]), (float(low), float(high)))
             for k, ((target, _), (low, high)) in enumerate(zip(found, intervals, strict=True))]  # fmt: skip
+
+
+def with_places_seen(
+    structures: Sequence[tuple[MixtureSampler, float]], seed: int
+) -> list[tuple[MixtureSampler, float]]:
+    """Return samplers without places, each beside a number, that begin some walks where solids are detected."""
+    one = structures[0][0]
+    if one.population <= 1 or one.seen is not None or (scene := solids_seen(one.target, seed)) is None:
+        return list(structures)
+    rng = stream(seed, DETECTED)
+    return [(replace(sampler, seen=places_of(rng, sampler.target, sampler.backend(), scene)), prior)
+            for sampler, prior in structures]  # fmt: skip
 
 
 def integral_of(rng: np.random.Generator, sampler: MixtureSampler) -> Evidence:
@@ -351,7 +368,8 @@ def _walk(
         options.resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))
     ):
         tell(0.0, "searching")
-        (found,) = searched([(sampler, 0.0)], own)
+        alone = [(sampler, 0.0)]
+        (found,) = searched(with_places_seen(alone, own) if target.sizes_open else alone, own)
         sampler = cast(MixtureSampler, found)
     plan = Plan(sampler, own, chains, warmup, draws, place, run, options.resume)
     done = dict.fromkeys(range(chains), 0)
@@ -376,8 +394,9 @@ def searched(
     """Return the sampler of each structure with the places that walks met; None of those that were not searched.
 
     They are looked for until the likeliest scene explains the image as well as its noise lets expect, or two searches
-    end as high, with ever more particles. Of three cubes that float anywhere one search in two ended thousands of nats
-    below the mode, and one that ends there rules out the structure that is right.
+    end as high, with ever more particles, and from the second on where solids are detected, too. Of three cubes that
+    float anywhere one search in two ended thousands of nats below the mode, and one that ends there rules out the
+    structure that is right.
 
     structures : samplers without places, each with the log of the structure's prior probability. first : numbers of
     those that are searched; of all, where none of these explains the image. tell : called with how
@@ -387,6 +406,7 @@ def searched(
     rng, highest, likeliest, done = stream(seed, SEARCHES), -math.inf, structures[first[0]][0], 0
     for number in range(MOST_SEARCHES):
         former, ended = highest, -math.inf
+        structures = with_places_seen(structures, seed) if number else structures
         for k in first if number == 0 else range(len(structures)):
             tell(done)
             sampler, log_prior = structures[k]
