@@ -296,7 +296,7 @@ def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:
     radius = 0.5 * state.rows[k][13]
     if axis is None or axis[1] > SAME_WIDTH * radius:
         return None
-    return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < 0.5 * COAXIAL * radius else None
+    return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < COAXIAL * radius else None
 
 
 def gable(seen: Observation, state: State) -> tuple[int, int] | None:
