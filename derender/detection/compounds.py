@@ -255,7 +255,7 @@ def neck(state: State, image: Image | None = None) -> tuple[int, int] | None:
     for i, row in enumerate(state.rows):
         for j in alone_on(state, i):
             other = state.rows[j]
-            falls = state.forms[i] == UPRIGHT and not shares_of_load(state.rows, i, HELD)
+            falls = not shares_of_load(state.rows, i, HELD)
             if (falls and (image is None or not reaches_under(image, state, j, i))) or (
                 int(row[0]) == int(other[0]) == CYLINDER
                 and flat_top(other)
@@ -270,10 +270,12 @@ def neck(state: State, image: Image | None = None) -> tuple[int, int] | None:
 def reaches_under(image: Image, state: State, j: int, i: int) -> bool:
     """Return whether upright box `j` may reach under the middle of solid `i`, as far as can be seen.
 
-    A box is as deep as it shows, and the one on it hides how deep it is: 2 cm more made a stack of what fell.
+    A box is as deep as it shows, and the one on it hides how deep it is: 2 cm more made a stack of what fell. But a
+    sheet below something round is the front of that: a box of which no more shows would be flush with it by chance.
     """
     row, other = state.rows[j], state.rows[i]
-    if int(row[0]) != BOX or state.forms[j] != UPRIGHT:
+    sheet = row[13:15].min() < SHEET * row[15] and int(other[0]) != BOX
+    if int(row[0]) != BOX or state.forms[j] != UPRIGHT or sheet:
         return False
     axes = rotation_of(row)[:, :2]
     middle, half = (other[10:13] - row[10:13]) @ axes, 0.5 * row[13:15]

@@ -334,6 +334,17 @@ def test_what_stands_on_what_may_reach_under_it_unseen_is_no_part_of_it():
     assert neck(behind, image) == (1, 0)  # what is round shows how deep it is
 
 
+@pytest.mark.parametrize("deep, shape, expected", [(0.02, CYLINDER, (1, 0)), (0.06, CYLINDER, None), (0.02, BOX, None)])
+def test_a_sheet_under_something_round_is_its_front(deep, shape, expected):
+    """A pack of bottles was a cylinder on a box of 7 to 21 mm by 21 cm, which it would fall off."""
+    image = make_image(seen_on_the_table([]), np.full(CAMERA.shape, 0.001), CAMERA, TABLE, 0.0)
+    front = State().add(make_row(BOX, np.eye(3), [0.0, 0.0, 0.1], [0.2, deep, 0.2]), UPRIGHT, False, FLOOR, 0.0)
+    above = make_row(shape, np.eye(3), [0.0, 0.1 - 0.5 * deep, 0.3], [0.2, 0.2, 0.2])
+    assert neck(front.add(above, UPRIGHT, False, 0, 0.2), image) == expected
+    lying = make_row(shape, rotation_x(np.pi / 2)[:3, :3], above[10:13], above[13:16])
+    assert neck(front.add(lying, FREE, False, 0), image) == expected
+
+
 def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
     """A mug's handle, seen in few pixels: one that stands on the table is no handle."""
     tall = 0.1
