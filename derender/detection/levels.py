@@ -84,10 +84,16 @@ BELOW, LOWEST = 0.05, 0.01  # share of the pixels that show what is lower, at le
 def floor_below(seen: Observation) -> np.ndarray | None:
     """Return the plane (4,), camera axes, on which stands what a floor is the top of, if it is one; None: it is none.
 
-    It is parallel, and as low as what is seen below: a box that fills the view hides all or most of its own floor.
+    It is parallel, and as low as what is seen below: a box that fills the view hides all or most of its own floor. From
+    its top the surface goes on over its sides, with no jump; behind a bare table a room is seen beyond one.
     """
-    lower = seen.behind & (seen.image.weight > 0) & (seen.points[..., 2] < -STEP)
-    if seen.no_floor or lower.sum() < BELOW * (seen.image.weight > 0).sum():
+    if seen.no_floor:
+        return None
+    good = seen.image.weight > 0
+    body, count = label_bodies(seen.points, good, seen.surface.jump)
+    top = np.bincount(body[seen.floor.inliers & good], minlength=count).argmax()
+    lower = seen.behind & good & (seen.points[..., 2] < -STEP)
+    if (lower & (body == top)).sum() < BELOW * good.sum():
         return None
     height = np.sort(seen.points[lower][:, 2])[: max(1, int(LOWEST * lower.sum()))]
     normal = seen.floor.pose[:3, 2]

@@ -1,4 +1,4 @@
-"""A floor on which nothing stands, with sides below it that go down to another, is the top of a box."""
+"""A floor on which nothing stands, with sides that go on from it down to another, is the top of a box."""
 
 import numpy as np
 import pytest
@@ -25,6 +25,15 @@ def test_the_floor_below_a_top_is_found(number):
     assert plane[:3] @ table[:3, 2] > 0.999
     assert abs(plane[:3] @ table[:3, 3] + plane[3]) < 0.01
     assert floor_below(observe(scene.depth, scene.camera, plane=plane)) is None
+
+
+@pytest.mark.parametrize("number", [700, 703, 707])
+def test_a_bare_table_before_a_room_is_no_top_of_a_box(number):
+    """A table from which its mug was taken became sixteen cartons on a floor of which nothing was seen."""
+    scene = make(np.random.default_rng([number, list(KINDS).index("edge")]), "edge")
+    seen = observe(np.where(scene.label < 0, scene.depth, np.nan), scene.camera)
+    assert seen.floor.pose[:3, 2] @ scene.tables["floor"][:3, 2] > 0.999
+    assert floor_below(seen) is None
 
 
 @pytest.mark.slow
