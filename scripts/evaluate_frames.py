@@ -5,17 +5,16 @@
     python scripts/evaluate.py frames --keep OUT --verbose                       with a picture and a line for each
 
 A variant shows the same scene as another camera might: mirrored, searched with another seed, cropped, its upper, lower,
-left or right PART, halved in resolution, turned by quarter turns, rolled, pitched up or down, through a longer or
-shorter lens, with more noise, without LOST of the returns or those beside steps in depth (frayed), off by a slow bias,
-rounded to millimetres or to disparities, half or thrice as far away and large (nearer, farther). Labels are looked up
-where their pixels went. Told of each variant: recall of what a person tells from depth, the same with difficult
-objects, precision, solids on what is labelled background, frames in which nothing was found though something is there,
-how often a plane passes within SUPPORT of the pixel labelled as the support's, `changed`, the share of labelled objects
-that are found in the variant but not in the frame as it is, or the other way round, how many answers are trusted, and
-of their solids, and of all that are trusted by themselves, the share that is there. In the end how often solids are
-there that are said to be with a probability. Matching is that of
-score.py beside the labels: the object shows at the labelled pixel within NEAR of its depth and its image box overlaps
-the labelled one by IOU or more.
+left or right PART, halved in resolution, turned by quarter turns, rolled, pitched up or down, yawed, through a longer
+or shorter lens, with more noise, without LOST of the returns or those beside steps in depth (frayed), off by a slow
+bias, rounded to millimetres or to disparities, half or thrice as far away and large (nearer, farther). Labels are
+looked up where their pixels went. Told of each variant: recall of what a person tells from depth, the same with
+difficult objects, precision, solids on what is labelled background, frames in which nothing was found though something
+is there, how often a plane passes within SUPPORT of the pixel labelled as the support's, `changed`, the share of
+labelled objects that are found in the variant but not in the frame as it is, or the other way round, how many answers
+are trusted, and of their solids, and of all that are trusted by themselves, the share that is there. In the end how
+often solids are there that are said to be with a probability. Matching is that of score.py beside the labels: the
+object shows at the labelled pixel within NEAR of its depth and its image box overlaps the labelled one by IOU or more.
 
     python scripts/evaluate.py floors --kinds plain,upper,"turned twice"         whether the support is found, 2 s a row
 """
@@ -41,8 +40,8 @@ CROPPED = 0.05  # of the image on each side
 CUT = 0.1  # of a labelled box's sides that a crop may take before the object counts as difficult
 NOISE = 0.001  # metres at one metre, growing with the depth squared: half of what consumer sensors have
 LOST = 0.1  # share of the returns that are dropped
-ROLL = np.radians(12.0)  # by which a camera is turned about its optical axis
-PITCH = np.radians(15.0)  # by which a camera is turned about its horizontal axis
+TURN = np.radians(12.0)  # by which a camera is turned about one of its axes
+FILLS = 0.95  # of a row or a column at the border of a view that is turned
 LENS = 1.25  # times as long a focal length, the same pixels: a scene that is as much narrower
 PART = 0.6  # of the rows or columns that a view has that shows a part of the scene
 SUPPORT = 0.02  # metres within which a plane passes the labelled pixel of the support
@@ -140,24 +139,6 @@ def part_of(frame, top, bottom, left, right):
     return seen_through(frame, rows, columns, with_camera(frame.camera, rows.shape, **place))
 
 
-def pitched(frame, angle):
-    """Seen by a camera turned about its horizontal axis, downwards, as far as the frame shows what it sees."""
-    camera = frame.camera
-    row, column = np.indices(frame.depth.shape)
-    y, x = (row - camera.cy) / camera.fy, (column - camera.cx) / camera.fx
-    cosine, sine = np.cos(angle), np.sin(angle)
-    z = cosine - sine * y  # of a ray of the turned camera, along the axis of the frame's
-    rows, columns = camera.cy + camera.fy * (cosine * y + sine) / z, camera.cx + camera.fx * x / z
-    inside = (rows >= 0) & (rows <= row.max()) & (columns >= 0) & (columns <= column.max())
-    kept = inside.mean(axis=1) > 0.5
-    first, last = np.flatnonzero(kept)[[0, -1]]
-    clipped = np.clip(rows, 0, row.max()), np.clip(columns, 0, column.max())
-    turned = seen_through(frame, *(index[first : last + 1] for index in clipped),
-                          with_camera(camera, (last + 1 - first, row.shape[1]), cy=camera.cy - first))  # fmt: skip
-    depth = np.where(inside, 1.0 / z, np.nan)[first : last + 1] * turned.depth
-    return turned._replace(depth=depth)
-
-
 def halved(rng, frame):
     rows, columns = np.indices(frame.depth.shape)[:, ::2, ::2]
     half = {key: 0.5 * getattr(frame.camera, key) for key in ("fx", "fy", "cx", "cy")}
@@ -181,20 +162,29 @@ def through_lens(frame, times):
     return frame._replace(camera=with_camera(frame.camera, frame.depth.shape, **longer))
 
 
-def rolled(rng, frame):
-    """Turned by ROLL about the optical axis, and no larger than that all of it was seen."""
-    height, width = frame.depth.shape
-    cosine, sine = np.cos(ROLL), np.sin(ROLL)
-    share = 1.0 / (cosine + max(width / height, height / width) * sine)
-    shape = int(share * height) - 1, int(share * width) - 1
-    y, x = (index - 0.5 * (count - 1) for index, count in zip(np.indices(shape), shape, strict=True))
-    middle = 0.5 * (np.array([height, width]) - 1)
-    rows, columns = middle[0] + cosine * y + sine * x, middle[1] + cosine * x - sine * y
-    # Where the principal point comes to lie; pixels are taken for square.
-    down, right = frame.camera.cy - middle[0], frame.camera.cx - middle[1]
-    camera = with_camera(frame.camera, shape, cx=cosine * right + sine * down + 0.5 * (shape[1] - 1),
-                         cy=cosine * down - sine * right + 0.5 * (shape[0] - 1))  # fmt: skip
-    return seen_through(frame, rows, columns, camera)
+def rotated(frame, *angles):
+    """Return the Frame of a camera turned about its centre, by angles (radians) about its axes x, y and z.
+
+    That shows nothing that was hidden. The view ends with the rows and columns that the frame FILLS.
+    """
+    from scipy.spatial.transform import Rotation
+
+    camera, (height, width) = frame.camera, frame.depth.shape
+    x, y, z = np.moveaxis(camera.rays() @ Rotation.from_euler("xyz", angles).as_matrix().T, -1, 0)  # the frame's axes
+    rows, columns = camera.cy + camera.fy * y / z, camera.cx + camera.fx * x / z
+    inside = (rows >= 0) & (rows <= height - 1) & (columns >= 0) & (columns <= width - 1)
+    ends = np.array([0, height - 1, 0, width - 1])
+    while True:
+        top, bottom, left, right = ends
+        window = np.s_[top : bottom + 1, left : right + 1]
+        part = inside[window]
+        filled = [line.mean() for line in (part[0], part[-1], part[:, 0], part[:, -1])]
+        if min(filled) >= FILLS:
+            break
+        ends[np.argmin(filled)] += (1, -1, 1, -1)[np.argmin(filled)]
+    place = np.clip(rows, 0, height - 1)[window], np.clip(columns, 0, width - 1)[window]
+    seen = seen_through(frame, *place, with_camera(camera, part.shape, cx=camera.cx - left, cy=camera.cy - top))
+    return seen._replace(depth=np.where(part, seen.depth / z[window], np.nan))
 
 
 def noisier(rng, frame):
@@ -231,9 +221,10 @@ VARIANTS = {
     "turned": lambda rng, frame: turned(frame, 1),
     "turned twice": lambda rng, frame: turned(frame, 2),
     "turned thrice": lambda rng, frame: turned(frame, 3),
-    "rolled": rolled,
-    "pitched down": lambda rng, frame: pitched(frame, PITCH),
-    "pitched up": lambda rng, frame: pitched(frame, -PITCH),
+    "rolled": lambda rng, frame: rotated(frame, 0.0, 0.0, TURN),
+    "pitched down": lambda rng, frame: rotated(frame, -TURN, 0.0, 0.0),
+    "pitched up": lambda rng, frame: rotated(frame, TURN, 0.0, 0.0),
+    "yawed": lambda rng, frame: rotated(frame, 0.0, TURN, 0.0),
     "longer lens": lambda rng, frame: through_lens(frame, LENS),
     "shorter lens": lambda rng, frame: through_lens(frame, 1.0 / LENS),
     "noisier": noisier,
