@@ -32,6 +32,7 @@ from derender.detection.things import (
     FEWEST,
     INNER,
     LARGEST,
+    LEAST_HEIGHT,
     Cost,
     Thing,
     clear_of_edges,
@@ -45,7 +46,7 @@ from derender.scene.solids import BOX
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least, unless
 SAME = 0.75  # it shows where the thing does: share of the pixels of either that both have, at least
-LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
+LEFT_PIXELS = 25  # that it has at least
 # Of polishing a solid in its place; ways in which a box is turned at first; how many of all are looked at to the end.
 ROUNDS, YAWS, FINISHED = 200, 6, 3
 
@@ -74,13 +75,11 @@ def leftovers(
         whole, mask = piece == k, (piece == k) & left
         low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
-        if (
-            (binary_erosion(whole) & left).sum() < INNER * mask.sum()
-            or high[2] <= max(LEFT_HEIGHT * seen.scale, settings.uneven)
-            or max(high[:2] - low[:2]) >= LARGEST
-        ):
+        if high[2] <= max(LEAST_HEIGHT * seen.scale, settings.uneven) or max(high[:2] - low[:2]) >= LARGEST:
             continue
         exists = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
+        if not exists and (binary_erosion(whole) & left).sum() < INNER * mask.sum():  # a seam along a silhouette
+            continue
         part = None if exists else goes_on_from(seen, state, mask)
         if exists and goes_on(seen.surface, mask, shows, cost.normal):
             part = goes_on_from(seen, state, mask)

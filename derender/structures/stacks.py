@@ -17,7 +17,7 @@ import numpy as np
 
 from derender.detection.compounds import neck
 from derender.detection.freestanding import without_thing
-from derender.detection.leftovers import LEFT_HEIGHT, LEFT_PIXELS, polished
+from derender.detection.leftovers import LEFT_PIXELS, polished
 from derender.detection.search.greedy import Settings
 from derender.detection.search.moves import ALIGNED, alignment, extents_along
 from derender.detection.search.observation import CORRELATED, Observation
@@ -49,6 +49,7 @@ FLUSH = 0.004  # metres by which sides that are flush are seen apart: real senso
 # Of the stacks of each pair of kinds that are climbed, and of those that are climbed farther; times as far off as after
 # that they may be before it: of those that ended as stacks all were less than 2.6 times.
 TRIED, ROUGHLY = 2, 3.0
+LOWEST = 0.02  # metres that each of two is high, at least
 CUTS = (0.25, 0.4, 0.5, 0.6, 0.75)  # of the height of what shows at which it is cut in two
 
 
@@ -122,7 +123,7 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
 
     def exact(state: State, most: float) -> bool:
         """Whether both are high enough, and off the image no farther."""
-        high = state.rows[list(both), 15].min() > LEFT_HEIGHT * seen.scale
+        high = state.rows[list(both), 15].min() > LOWEST * seen.scale
         return bool(high and badness(seen, state)[1][list(both)].max() < most)
 
     upright = state.changed(i, form=UPRIGHT, cube=False, bottom=lowest(state.rows[i]))
