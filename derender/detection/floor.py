@@ -127,14 +127,62 @@ def plane_through(
         offset = normal @ centre
         off = np.abs(chosen @ normal - offset)
         scale = np.clip(1.4826 * weighted_median(off, weight[inner]), 2e-4, most)
-    slope = np.abs(flat @ normal) / flat[:, 2]
-    residual = (flat @ normal - offset) / np.maximum(slope, 0.05)
-    inner = np.abs(residual) < 4 * scale / np.maximum(slope, 0.05)
+    return floor_on(depth.shape, good, flat, normal, offset, scale, weight)
+
+
+def floor_on(shape: tuple[int, int], good: np.ndarray, flat: np.ndarray, normal: np.ndarray, offset: float,
+             scale: float, weight: np.ndarray) -> Floor:  # fmt: skip
+    """Return the Floor on a plane normal . p = offset, the noise across it `scale` metres.
+
+    good, flat, weight : (N,), (N, 3), (N,) the pixels with a depth by their place in the image, their points, and how
+        much each counts. shape : (H, W).
+    """
+    slope = np.maximum(np.abs(flat @ normal) / flat[:, 2], 0.05)
+    residual = (flat @ normal - offset) / slope
+    inner = np.abs(residual) < 4 * scale / slope
     sigma = float(1.4826 * weighted_median(np.abs(residual[inner]), weight[inner]))
-    inliers = np.zeros(depth.size, bool)
-    inliers[good[inner]] = True
-    pose = frame_of(normal, offset, chosen.mean(axis=0))
-    return Floor(pose, max(sigma, 3e-4), inliers.reshape(depth.shape))
+    inliers = np.zeros(shape, bool)
+    inliers.flat[good[inner]] = True
+    return Floor(frame_of(normal, offset, flat[inner].mean(axis=0)), max(sigma, 3e-4), inliers)
+
+
+ROUNDS_OF_NOISE = 12  # in which the pixels that are on the plane are told again, at most
+HORIZON = 5.0  # pixels under the horizon from which on a blur shows in a floor's depths as their second derivative does
+
+
+def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -> Floor:
+    """Return the Floor fitted to all of it, each pixel counting as its own noise lets it: of a floor that runs to its
+    horizon the far pixels tell the tilt, which the near ones leave open by centimetres there. With fewer than FEWEST
+    on it, it stays.
+
+    The inverse depth w of a plane is affine in an image, and a blur of s pixels adds (s |grad w|)^2 / w^3 to its
+    depths: both are fitted, by Gauss-Newton steps. Of independent noise; a real sensor's far depths are biased.
+    """
+    fx, fy, _, _ = intrinsics(camera)
+    good = np.flatnonzero(np.isfinite(depth) & (depth > 0))
+    rays, seen = back_project(np.ones_like(depth), camera).reshape(-1, 3)[good], depth.ravel()[good]
+    flat, told, on = rays * seen[:, None], floor, floor.inliers.ravel()[good]
+    numbers = np.append(floor.pose[:3, 2] / (floor.pose[:3, 3] @ floor.pose[:3, 2]), 0.0)  # w = numbers[:3] . ray; s^2
+    for _ in range(ROUNDS_OF_NOISE):
+        steepness = np.hypot(numbers[0] / fx, numbers[1] / fy)  # of w, by a pixel
+        w = np.maximum(rays @ numbers[:3], 1e-9)
+        residual = seen - 1.0 / w - numbers[3] * steepness**2 / w**3
+        sigma = noise_map(depth, told, camera).ravel()[good]
+        before, on = on, (w > HORIZON * steepness) & (np.abs(residual) < WITHIN * sigma)
+        if on.sum() < FEWEST or (on == before).all():
+            break
+        change = np.column_stack([-rays[on] / w[on, None] ** 2, steepness**2 / w[on] ** 3]) / sigma[on, None]
+        numbers += np.linalg.lstsq(change.T @ change, change.T @ (residual[on] / sigma[on]), rcond=None)[0]
+        numbers[3] = max(numbers[3], 0.0)
+        length = float(np.linalg.norm(numbers[:3]))
+        normal, offset = -numbers[:3] / length, -1.0 / length
+        inliers = np.zeros(depth.shape, bool)
+        inliers.flat[good[on]] = True
+        told = Floor(frame_of(normal, offset, flat[on].mean(axis=0)), floor.sigma, inliers)
+    if told is floor:
+        return floor
+    scale = 1.4826 * float(np.median(np.abs(flat[told.inliers.ravel()[good]] @ normal - offset)))
+    return floor_on(depth.shape, good, flat, normal, offset, scale, np.ones(len(good)))
 
 
 def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:

@@ -30,6 +30,7 @@ from derender.detection.floor import (
     rounding_of,
     scale_of,
     sensor_deviation,
+    under_its_noise,
 )
 from derender.detection.floors import (
     SQUARE,
@@ -278,6 +279,8 @@ def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor
 
     Raises NoFloor where what was taken as the floor is rougher than any sensor makes it.
     """
+    if not shared_by_neighbours(depth, floor, camera, rounding) > CORRELATED:
+        floor = under_its_noise(floor, depth, camera)
     seen = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
     if seen.correlation <= CORRELATED:
         return seen
@@ -294,6 +297,11 @@ def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor
     straight = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
     # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
     return straight._replace(bend=bend, correlation=seen.correlation)
+
+
+def shared_by_neighbours(depth: np.ndarray, floor: Floor, camera: dict[str, float], rounding: float) -> float:
+    """Return the correlation of neighbouring pixels' noise, see `Observation`. rounding : metres, see `rounding_of`."""
+    return 0.0 if drawn(depth, floor, camera, rounding) else neighbour_correlation(depth, floor, camera)
 
 
 def without_floor(depth: np.ndarray, camera: dict[str, float], factor: int, rounding: float) -> Observation:
@@ -313,7 +321,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
-    correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
+    correlation = shared_by_neighbours(depth, even, camera, rounding)
     own = np.sqrt(1.0 - np.clip(correlation, 0.0, MOST_SHARED))  # noise that neighbours share hides no leak
     blur = estimate_blur(depth, own * sigma)
     if correlation > CORRELATED:
