@@ -27,10 +27,21 @@ BEFORE = 0.6  # of that over which what is smoothed is flat before its last pixe
 SHADOW = 5  # pixels without return beside a silhouette, beyond which is told what lies behind it
 
 
-def jump_of(depth: np.ndarray) -> float:
-    """Return by which share of the depth what is beyond a silhouette of a depth image (H, W) is farther at least."""
+def jump_of(depth: np.ndarray) -> np.ndarray:
+    """Return (H, W) by which share of the depth what is beyond a silhouette of a depth image is farther at least.
+
+    Noise grows with the depth, or does not: what is nearer than most is taken to be as noisy, which parts it more.
+    """
     there = depth > 0.0
-    return max(JUMP, CLEAR * pixel_noise(depth) / float(np.median(depth[there]))) if there.any() else JUMP
+    noise = CLEAR * pixel_noise(depth) / float(np.median(depth[there])) if there.any() else 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        nearer = np.maximum(1.0, np.median(depth[there]) / depth) if there.any() else np.ones(depth.shape)
+    return np.where(there, np.maximum(JUMP, noise * nearer), JUMP)
+
+
+def sides_of(image: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return an image (H, W) turned so that each of its four sides lies below once."""
+    return image, image[::-1], image.T, image.T[::-1]
 
 
 def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
@@ -41,20 +52,20 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
     At a silhouette of slope s, inverse depth by pixel, which is flat over the last f pixels, inverse depth is f s less
     than the line within goes on to. What is round goes on otherwise, in proportion to how bent it is: both are fitted.
     """
-    away, found, jump = INSIDE - INSIDE.mean(), [], jump_of(depth)
+    away, found, jumps = INSIDE - INSIDE.mean(), [], jump_of(depth)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.where(depth > 0.0, 1.0 / depth, np.nan)  # of a plane it is affine
-        for image in (inverse, inverse[::-1], inverse.T, inverse.T[::-1]):
+        for image, jump in zip(sides_of(inverse), sides_of(jumps), strict=True):
             first, last = int(INSIDE[-1]), len(image) - 1
-            row, column = np.nonzero(image[first + 1 :] < (1.0 - jump) * image[first:last])
+            row, column = np.nonzero(image[first + 1 :] < (1.0 - jump[first:last]) * image[first:last])
             edge, row = image[row + first, column], row + first
             inner = np.stack([image[row - int(k), column] for k in INSIDE]) / edge
             middle, slope = inner.mean(axis=0), away @ inner / (away @ away)
             rough = np.mean((inner - middle - slope * away[:, None]) ** 2, axis=0)
             rise = image[row - within, column] / edge - middle + slope * (INSIDE.mean() - within)
-            found.append(np.stack([slope, BENT @ inner, rise, rough])[:, np.isfinite(slope)])
-    slope, bent, rise, rough = np.concatenate(found, axis=1)
-    good = (np.abs(slope) > SLOPES[0]) & (np.abs(slope) < SLOPES[1]) & (np.abs(rise) < jump)
+            found.append(np.stack([slope, BENT @ inner, rise, rough, jump[row, column]])[:, np.isfinite(slope)])
+    slope, bent, rise, rough, most = np.concatenate(found, axis=1)
+    good = (np.abs(slope) > SLOPES[0]) & (np.abs(slope) < SLOPES[1]) & (np.abs(rise) < most)
     if good.any():
         good &= rough <= ROUGH**2 * np.median(rough[good])
     terms, rise, pixels, spread = np.column_stack([slope, bent])[good], rise[good], 0.0, np.inf
