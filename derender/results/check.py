@@ -94,6 +94,7 @@ FEW_PIXELS = 12  # of a solid say nothing of it as a whole
 FILLING = 0.5  # share of the image that one solid may fill
 CUT = 0.1  # share of a solid's outline that lies on the image's border, to be told
 ALONE, SEEN, NO_THING = 0.97, 0.9, 1.0  # share of the depths on one plane, of the pixels with one; metres it is wide
+ROUNDING = 1e-4  # share of one depth, by which numbers of single precision or of millimetres differ
 NOISY = 4.0  # times the noise of flat patches, from which on a fitted noise hides something
 
 
@@ -269,14 +270,18 @@ def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt
 
 
 def nothing_but_a_plane(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
-    """Return a doubt where one surface fills the view, no wider than a thing may be: a box's side would look so too."""
+    """Return a doubt where one surface fills the view, no wider than a thing may be: a box's side would look so too; or
+    where a floor with nothing on it is one depth, farther than cameras hang: a sensor that clips shows such."""
     valid = np.isfinite(observed)
-    alone = float(fit.explained[valid].mean()) >= ALONE and float(valid.mean()) >= SEEN
-    if not alone or any(vertex.body.size() is not None for vertex in graph.vertices):
+    if any(vertex.body.size() is not None for vertex in graph.vertices):
         return []
-    corners = camera.points(observed)[valid]
-    wide = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    if wide > NO_THING:
+    floor = observed[valid & fit.explained & ~fit.background & (fit.label == FLOOR)]
+    deep = float(np.median(floor)) if len(floor) else 0.0
+    if deep > OVERHEAD and float(np.median(np.abs(floor - deep))) <= max(fit.noise.sigma, ROUNDING * deep):
+        words = f"the floor is one depth of {deep:.3g} m: a sensor that clips what is farther would show the same"
+        return [Doubt(words)]
+    wide = float(np.linalg.norm(np.ptp(camera.points(observed)[valid], axis=0)))
+    if wide > NO_THING or float(fit.explained[valid].mean()) < ALONE or float(valid.mean()) < SEEN:
         return []
     return [Doubt(f"nothing is seen but one surface of {wide:.2g} m: a thing that fills the view would look the same")]
 

@@ -171,3 +171,17 @@ def test_a_floor_looked_at_from_afar_with_much_before_it_may_be_a_wall(distance,
     seen[before] -= 0.4
     told = np.where(before, seen, distance)
     assert any("may be a wall" in doubt.words for doubt in doubts_of(straight, seen, told=told)) == wall
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.01])
+def test_one_depth_far_away_is_no_floor_without_anything_on_it(sigma):
+    """What a sensor clips at ten metres looks like a floor right below a camera, also where something
+    is nearer, as the floor right before the camera."""
+    flat = on_floor(elevation=90.0, distance=10.0)
+    seen = 10.0 + sigma * np.random.default_rng(0).standard_normal(CAMERA.shape)
+    near = np.where(np.arange(120)[:, None] < 100, seen, seen - 2.0)
+    for depth, told in ((seen, None), (near, near)):
+        words = [doubt.words for doubt in doubts_of(flat, depth, told=told) if doubt.serious]
+        assert any(each.startswith("the floor is one depth of 10 m") for each in words)
+    slanted = on_floor(elevation=70.0, distance=10.0)
+    assert doubts_of(slanted, image(slanted, max(sigma, 0.002))) == ()
