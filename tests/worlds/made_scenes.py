@@ -11,9 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.detection.solids.image import FAR, KINDS, ROW, draw, make_image, make_row
 from derender.physics.bodies import DENSITY
-from derender.scene.solids import BOX
+from derender.render.blur import blur
+from derender.render.raycast.depth import render_depth
+from derender.scene.pose import rotation_x, translation
+from derender.scene.solids import BOX, PLANE, Solids
 from worlds.settling import come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
@@ -291,6 +295,20 @@ def make_groups(rng: np.random.Generator, count: Any = 20) -> Any:
     if any(penetration(rows[i], rows[j]) > 0.002 for i in range(count) for j in range(i)):
         return make_groups(rng, count)
     return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))
+
+
+def before_horizon(elevation: float, distance: float, view: float, seed: int = 0, columns: int = 160) -> Any:
+    """Return (depth (H, W), Camera, the floor's pose) of a cube of 6 cm before the horizon of a floor, ten metres to
+    what lies behind all, with 2 mm of noise and half a pixel of blur. elevation, view : degrees."""
+    camera = Camera.from_field_of_view(columns, columns * 3 // 4, view)
+    floor = rotation_x(np.pi / 2 + np.radians(elevation))
+    floor[:3, 3] = 0.0, 0.0, distance
+    cube = floor @ translation(0.11, 0.1, 0.03)
+    solids = Solids(np.array([PLANE, BOX], np.int32), np.array([floor, cube]), np.array([[0.0] * 3, [0.06] * 3]),
+                    np.array([-1, -1], np.int32), ())  # fmt: skip
+    depth, _ = render_depth(solids, camera, background=10.0)
+    noise = 0.002 * np.random.default_rng(seed).standard_normal(depth.shape)
+    return blur(np.minimum(depth, 10.0), 0.5) + noise, camera, floor
 
 
 def drawn_scene(seed: int, prior: str, size: Any = None, sigma: Any = None) -> Any:
