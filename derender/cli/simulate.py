@@ -188,7 +188,7 @@ def _one(source: Found, what, ask, margin: bool, forces: bool, talk: Talk):
 
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
     best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
-    assumed = assumptions(best.matter, best.trajectory)
+    assumed = assumptions(best)
     runs = [best]
     if ask["until"] and not (source.uncertain or what.jitter):
         talk.warn("--until says nothing here: a scene without jitter is the same in every draw")

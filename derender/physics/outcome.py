@@ -18,7 +18,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.physics.bodies import LEAST_MASS, Matter, matter_of_graph
 from derender.physics.intervention import Intervention, intervention
-from derender.physics.statics import ContactForce, Equilibrium, deep_overlaps, find_contacts
+from derender.physics.statics import ContactForce, Equilibrium
 from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory, Verdict, judge
 from derender.registry import suggest
 
@@ -78,7 +78,8 @@ def simulate_scene(
     margin, forces : whether these are wanted.
     rng : of jitter and of what is a distribution; None: seed 0, and means.
 
-    Raises DerenderError : an unknown object or engine, a text that cannot be read, numbers that diverge.
+    Raises DerenderError : an unknown object or engine, a text that cannot be read, a pose, size, mass or speed that is
+        no finite number, numbers that diverge.
     """
     from derender.physics.simulate import simulate
 
@@ -90,6 +91,10 @@ def simulate_scene(
         what = intervention(**acts)
     matter, axes = (scene, upright_axes(scene)) if isinstance(scene, Matter) else _of_graph(scene, rng)
     matter = what.apply(matter, axes, np.random.default_rng(0) if rng is None else rng)
+    for body in matter.bodies:
+        numbers = [*np.ravel(body.pose), *body.size, body.mass or 0.0, *body.velocity, *body.angular_velocity]
+        if not np.isfinite(numbers).all() or (body.kind != "plane" and np.min(body.size) <= 0):
+            raise DerenderError("a number of this object is not finite or a size not positive", body.name, "give it")
     found = Equilibrium(matter) if engine != "mujoco" or margin or forces else None
     by_engine: dict[str, str] = {}
     if engine != "mujoco":
@@ -97,7 +102,8 @@ def simulate_scene(
         by_engine["statics"] = STANDS if found.stands else FALLS
     trajectory = None
     if engine == "statics" and found is not None:
-        verdict = Verdict(by_engine["statics"], dict.fromkeys(found.unbalanced(), 0.0), {}, {})
+        moved = dict.fromkeys(found.unbalanced(), 0.0)
+        verdict = Verdict(by_engine["statics"], moved, {}, {}, tuple(found.entered))
     else:
         disturbance = what.in_scene(axes) if what.pushes or what.shake is not None else None
         trajectory = simulate(matter, duration, early=early, disturbance=disturbance)
@@ -224,22 +230,13 @@ def _of_graph(graph: "SceneGraph", rng: np.random.Generator | None) -> tuple[Mat
 NEEDLE = 200.0
 
 
-def assumptions(matter: Matter, trajectory: Trajectory | None = None) -> list[str]:
-    """Return what is assumed of a scene beyond what it says, and of its trajectory after it ends; [] where nothing is.
-
-    Raises
-    ------
-    DerenderError : a pose, size, mass or speed that is no finite number.
-    """
-    for body in matter.bodies:
-        numbers = [*np.ravel(body.pose), *body.size, body.mass or 0.0, *body.velocity, *body.angular_velocity]
-        if not np.isfinite(numbers).all() or (body.kind != "plane" and np.min(body.size) <= 0):
-            raise DerenderError("a number of this object is not finite or a size not positive", body.name, "give it")
-    said = []
-    for first, second, depth in deep_overlaps(matter, find_contacts(matter)):
-        said.append(
-            f"{first} and {second} overlap by {1e3 * depth:.1f} mm: no rigid bodies can, so this does not stand"
-        )
+def assumptions(outcome: Outcome) -> list[str]:
+    """Return what is assumed beyond what a scene says, and of its trajectory after it ends; [] where nothing is."""
+    matter, trajectory = outcome.matter, outcome.trajectory
+    said = [
+        f"{first} and {second} overlap by {1e3 * depth:.1f} mm: no rigid bodies can, so this does not stand"
+        for first, second, depth in outcome.entered
+    ]
     masses = {body.name: body.weight_in_kg() for body in matter.bodies if body.moves}
     heaviest = max(masses.values(), default=0.0)
     for name, mass in masses.items():
@@ -259,7 +256,7 @@ def assumptions(matter: Matter, trajectory: Trajectory | None = None) -> list[st
 
 def assumed_of_draws(runs: Sequence[Outcome]) -> list[str]:
     """Return what is assumed of the draws of an uncertain scene beyond that of the most probable one."""
-    deep = sum(bool(deep_overlaps(run.matter, find_contacts(run.matter))) for run in runs)
+    deep = sum(bool(run.entered) for run in runs)
     return [f"in {deep} of {len(runs)} draws solids enter each other deep: those do not stand"] if deep else []
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
-from derender.physics.statics import deep_overlaps, find_contacts, widest_gap
+from derender.physics.statics import Entered, deep_overlaps, find_contacts, widest_gap
 from derender.scene.graph import ROOT, Contact, Vertex, floating, nearest_contact
 from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
@@ -98,6 +98,7 @@ class Verdict:
     first_moved: dict[str, float]  # when each body that did not stay left its place, seconds by name, the first first
     displacement: dict[str, float]  # the greatest distance from where it began, metres by name
     rotation: dict[str, float]  # the greatest angle, radians by name
+    entered: tuple[Entered, ...]  # the pairs that enter each other so deep that no rigid bodies can be so
 
     @property
     def stable(self) -> bool:
@@ -126,7 +127,7 @@ def judge(trajectory: Trajectory, matter: Matter | None = None) -> Verdict:
     elif moved:
         same = matter is not None and trajectory.resting and _same_structure(trajectory, matter)
         word = SETTLES if same else FALLS
-    return Verdict(word, moved, trajectory.greatest_displacement(), trajectory.greatest_rotation())
+    return Verdict(word, moved, trajectory.greatest_displacement(), trajectory.greatest_rotation(), tuple(entered))
 
 
 def bearers(matter: Matter) -> dict[str, set[str]]:
