@@ -69,7 +69,7 @@ def test_a_solid_where_nothing_stands_is_no_stack():
 
 def test_what_shows_beyond_a_solid_is_no_part_of_the_stack_in_its_place():
     """Beside the upper one, where the solid that stood for both hides it, the floor shows."""
-    lower, upper = (0.1, 0.05, 0.06), (0.04, 0.04, 0.11)
+    lower, upper = (0.1, 0.05, 0.06), (0.04, 0.03, 0.11)  # not flush on three sides, which would be one thing
     seen, settings = seen_by_a_sensor((BOX, 0.0, 0.0, lower, None), (BOX, 0.025, 0.0, upper, None))
     x, y, _ = np.quantile(seen.points[seen.mask], (0.02, 0.98), axis=0).mean(axis=0)
     box = make_row(BOX, np.eye(3), [x, y, 0.5 * upper[2]], (*lower[:2], upper[2]))

@@ -27,7 +27,7 @@ from derender.structures.draws.refined import (
     with_out_of_reach,
     without_unseen,
 )
-from derender.structures.draws.sensor import first_sensor, floor_depth, model_depth, shown
+from derender.structures.draws.sensor import first_sensor, floor_depth, model_depth, shown, too_far
 
 CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
 POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))
@@ -139,3 +139,19 @@ def test_a_box_ends_where_a_sensor_saw_nothing_although_it_would():
         likely = [load(engine_of(chart, sensor), chart, values)[1] for chart, values in charts]
         gains.append(likely[0] - likely[1])
     assert abs(gains[0]) < 1.0 and gains[1] > 20.0  # nats by which the box ends there
+
+
+def test_a_box_ends_where_what_is_far_away_is_seen_above_it():
+    """Of a tower whose top was just below the horizon nothing said how high its uppermost box is: 49 mm, told were 58
+    to 154."""
+    camera, floor = Camera(120.0, 120.0, 63.5, 47.5, 128, 96), translation(0.0, 0.1, 0.5) @ rotation_x(np.deg2rad(100))
+    boxes = [make_row(BOX, np.eye(3), [0, 0.05, height / 2], [0.1, 0.1, height]) for height in (0.18, 0.20)]
+    charts = [make_chart(State().add(row, UPRIGHT, False, FLOOR, 0.0), floor, Settings().rules) for row in boxes]
+    clean, higher = (model_depth(*chart, camera) for chart in charts)
+    observed = clean + 0.002 * np.random.default_rng(0).standard_normal(camera.shape)
+    observed[(clean == clean.max()) & np.isinf(floor_depth(floor, camera))] = np.nan  # above the horizon
+    more = (higher < clean) & np.isfinite(observed)
+    assert more.any() and too_far(observed)[more].all()
+    sensor = first_sensor(camera, observed, *charts[0])
+    likely = [load(engine_of(chart, sensor), chart, values)[1] for chart, values in charts]
+    assert likely[0] - likely[1] > 20.0

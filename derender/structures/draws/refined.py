@@ -159,7 +159,7 @@ def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
 
 
 def background_share(seen: Any) -> float:
-    """Return the share of the pixels that show background which the sensor model does not leave out as too far."""
+    """Return the share of the pixels that show background and are not too far."""
     good = seen.image.weight > 0
     far = too_far(np.where(good, seen.image.depth, np.nan))
     return float((seen.behind & good & ~far).sum() / max(good.sum(), 1))

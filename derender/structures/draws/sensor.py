@@ -35,7 +35,7 @@ LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
 BACKGROUND = 10.0  # metres to the wall behind everything, where the image shows none
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
-FAR_AWAY = 2.5  # times the median depth: pixels beyond it are left out
+FAR_AWAY = 2.5  # times the median depth: of pixels beyond it, only that nothing stands before that is believed
 
 
 NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
@@ -141,7 +141,7 @@ def floor_depth(floor: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def too_far(observed: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: pixels so far behind most others that inference leaves them out."""
+    """Return (H, W) bool: pixels so far behind most others that they only tell that nothing stands nearer."""
     return observed > FAR_AWAY * np.nanmedian(np.abs(observed))
 
 
@@ -168,7 +168,7 @@ def first_sensor(
 
     wall : how far away what lies behind everything is seen, see `Observation`; None: it is not.
     """
-    observed = np.where(too_far(observed), np.nan, observed)
+    observed = np.where(too_far(observed), -FAR_AWAY * np.nanmedian(np.abs(observed)), observed)
     into = np.eye(4) if into is None else into
     held = {**behind_all(wall), **(NONE if shares_noise(prior) else held_by(prior))}
     clean = model_depth(chart, values, camera, into, held["background"])
