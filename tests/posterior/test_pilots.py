@@ -108,7 +108,7 @@ def test_a_scene_that_leaves_something_unexplained_is_short_of_noise(type):
     ],
 )
 def test_what_leaves_much_unexplained_is_searched_again(heights, short, ended, asked, monkeypatch):
-    world, populations, left = two_modes(), [], iter(heights)
+    world, populations, detected, left = two_modes(), [], [], iter(heights)
 
     def prepared(self, seed):
         populations.append(self.population)
@@ -116,10 +116,12 @@ def test_what_leaves_much_unexplained_is_searched_again(heights, short, ended, a
 
     monkeypatch.setattr(MixtureSampler, "prepared", prepared)
     monkeypatch.setattr(given, "short_of_noise", lambda rng, target, values: short)
+    monkeypatch.setattr(given, "with_places_seen", lambda made, seed: detected.append(len(populations)) or made)
     target = world.target(np.random.default_rng(1), np.array([0.6]))
     sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), population=8)
     (found,) = given.searched([(sampler, 0.0)], 3)
     assert found.height == ended and populations == asked
+    assert detected == list(range(1, len(asked)))  # solids are asked for before each search but the first
 
 
 @pytest.mark.parametrize(
@@ -141,6 +143,7 @@ def test_structures_are_searched_until_one_explains_the_image(fits, heights, end
         lambda self, seed: replace(self, height=(height := next(left[self.thin])), places=np.array([[height]])),
     )  # fmt: skip
     monkeypatch.setattr(given, "short_of_noise", lambda rng, target, values: 9.0 if values[0] < fits else 1.0)
+    monkeypatch.setattr(given, "with_places_seen", lambda made, seed: made)  # no image has solids here
     found = given.searched([(each, 0.0) for each in made], 3)
     assert [each and each.height for each in found] == ended
 
