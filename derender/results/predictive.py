@@ -6,6 +6,7 @@ Also the best structure's draws as NetCDF-4, with the groups in which ArviZ keep
 import importlib.util
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ import numpy as np
 
 from derender.atomic import write_bytes
 from derender.camera.intrinsics import Camera
+from derender.compilation.threads import in_threads
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
@@ -65,17 +67,19 @@ def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: n
     share = min(1.0, PIXELS / observed.size)
     scored = _spread(draws, max(round(SCORED * share), LEAST_SCORED) // chains)
     drawn = _spread(draws, max(round(DRAWN * share), LEAST_DRAWN) // chains)
-    scores = np.empty((chains, len(scored), len(rows)))
-    images = np.empty((chains, len(drawn), len(rows)))
-    evaluator = None
-    for chain in range(chains):
+
+    def told(rng: np.random.Generator, chain: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return of one chain (S, N) log likelihoods and (D, N) mean depths."""
+        scores, evaluator = np.empty((len(scored), len(rows))), None
         for place, draw in enumerate(scored):
             kind, values = likelihood_at(posterior, part, chain, int(draw))
             evaluator = evaluator or DepthEvaluator(camera, observed, kind, values)
             evaluator.log_likelihood(part.graph_at(chain, int(draw)).solids(), values)
-            scores[chain, place] = _sums(evaluator.per_pixel(), side)[kept]
-        for place, draw in enumerate(drawn):
-            images[chain, place] = means(image_at(posterior, part, chain, int(draw), camera, rng))
+            scores[place] = _sums(evaluator.per_pixel(), side)[kept]
+        images = [means(image_at(posterior, part, chain, int(draw), camera, rng)) for draw in drawn]
+        return scores, np.reshape(images, (len(drawn), len(rows)))
+
+    scores, images = map(np.array, zip(*in_threads(rng, [partial(told, chain=k) for k in range(chains)]), strict=True))
     return Blocks(rows * side, columns * side, side, means(observed), scored, scores, drawn, images)
 
 
