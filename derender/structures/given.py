@@ -62,6 +62,8 @@ PARTICLES, STEPS = 50, 60  # of the population by which a structure is looked at
 # Nats below the likeliest at which a structure has no weight: by such populations, whose evidence was up to 15 too low
 # for 9 unknowns, and differed by 2 to 12 from one to the next; and by the heights of walks, which leave out its volume.
 OUT_OF_THE_QUESTION = 60.0
+# Nats of each pixel below the likeliest, at most, of a structure's place where solids were seen: at .3 lay a right one.
+ROUGHLY = 1.0
 # Draws of each walk about which a structure is integrated, after so many rounds: about 180 places of the walks that
 # look for modes alone the errors of 9 unknowns' integrals were .3 to 2 nats.
 DRAWS, SETTLING = 150, 30
@@ -138,7 +140,8 @@ def candidates(
     structures = with_places_seen(structures, seed) if found[0][0].sizes_open else structures
     rough = np.array(in_threads(rng, [partial(look, target=target, log_prior=prior) for target, prior in found]))
     seen = np.array([prior + sampler.seen_height for sampler, prior in structures])
-    near = (rough > rough.max() - OUT_OF_THE_QUESTION) | (seen > seen.max() - OUT_OF_THE_QUESTION)
+    pixels = found[0][0].images.observed.size
+    near = (rough > rough.max() - OUT_OF_THE_QUESTION) | (seen > seen.max() - ROUGHLY * pixels)
     possible = np.flatnonzero(near).tolist()
     samplers = searched(structures, seed, possible,
                         lambda done: tell(0.5 + 0.3 * min(done / len(possible), 1.0), "searching"))  # fmt: skip
@@ -159,7 +162,7 @@ def with_places_seen(
 ) -> list[tuple[MixtureSampler, float]]:
     """Return samplers without places, each beside a number, that begin some walks where solids are detected."""
     one = structures[0][0]
-    if one.population <= 1 or one.seen is not None or (scene := solids_seen(one.target, seed)) is None:
+    if one.population <= 1 or (scene := solids_seen(one.target, seed)) is None:
         return list(structures)
     rng = stream(seed, DETECTED)
     return [(replace(sampler, seen=places_of(rng, sampler.target, sampler.backend(), scene)), prior)
@@ -406,7 +409,8 @@ def searched(
     rng, highest, likeliest, done = stream(seed, SEARCHES), -math.inf, structures[first[0]][0], 0
     for number in range(MOST_SEARCHES):
         former, ended = highest, -math.inf
-        structures = with_places_seen(structures, seed) if number else structures
+        if number:  # solids are detected anew: what two searches were led to by the same ones would be the same
+            structures = with_places_seen(structures, child_seed(seed, SEARCHES, number))
         for k in first if number == 0 else range(len(structures)):
             tell(done)
             sampler, log_prior = structures[k]
