@@ -100,9 +100,7 @@ class MixtureSampler:
     places: np.ndarray | None = None  # (n, P) to start from; None: they are looked for
     learned: Tuning | None = None  # what fits them
     height: float = -math.inf  # mean log posterior density of the walks that met them
-    seen: np.ndarray | None = (
-        None  # (n, P) places, likeliest first, at which half of the first walks begin; None: unasked
-    )
+    seen: np.ndarray | None = None  # (n, P) places, likeliest first, where half of the first walks begin
 
     @cached_property
     def _first(self) -> Backend:
@@ -115,9 +113,9 @@ class MixtureSampler:
     @property
     def seen_height(self) -> float:
         """The log posterior density of the likeliest of those, -inf without any."""
-        return (
-            -math.inf if self.seen is None or not len(self.seen) else float(sum(self.backend().evaluate(self.seen[0])))
-        )
+        if self.seen is None or not len(self.seen):
+            return -math.inf
+        return float(sum(self.backend().evaluate(self.seen[0])))
 
     def prepared(self, seed: int) -> "MixtureSampler":
         """Return the sampler with typical places that walks met together, and the steps that fit them."""

@@ -49,9 +49,12 @@ def solids_seen(target: SceneTarget, seed: int) -> SceneGraph | None:
         return None
     options = Options(method="map", seed=seed, shapes=shapes, floor=floor_of(target))
     try:
-        return infer_structure(target.images.observed, target.images.camera, options).best_graph()
+        found = infer_structure(target.images.observed, target.images.camera, options)
     except DerenderError:  # such as an image of few pixels: the other walks begin without
         return None
+    if found.meta["interrupted"]:  # of what is inferred nothing is there yet
+        raise KeyboardInterrupt
+    return found.best_graph()
 
 
 def is_sought(target: SceneTarget, vertex: Vertex) -> bool:
@@ -92,9 +95,7 @@ class Placed(NamedTuple):
 
     vertices: tuple[Vertex, ...]
     poses: dict[str, np.ndarray]  # (4, 4), object to camera, by name; the root's too
-    chosen: tuple[
-        tuple[int, np.ndarray] | None, ...
-    ]  # of each the solid's number and how it is turned; None: it is drawn
+    chosen: tuple[tuple[int, np.ndarray] | None, ...]  # of each the solid's number and turn (3, 3); None: it is drawn
     off: float  # metres by which they are not where those are
 
 
@@ -180,7 +181,8 @@ def improved(rng: np.random.Generator, scene: Scene, placed: Placed, solids: lis
         again = scene.begun()
         for number, chosen in enumerate(placed.chosen):
             again = scene.with_object(again, own, None if chosen is None else (number, np.eye(3)))
-        values = cooled(rng, scene.target, scene.values(resized(scene, again, own, backend)))
+        begin = values, scene.values(resized(scene, again, own, backend))  # to touch may be to overlap, by rounding
+        values = cooled(rng, scene.target, max(begin, key=lambda each: sum(backend.evaluate(each))))
     return values
 
 
@@ -209,6 +211,8 @@ def root_of(target: SceneTarget, laws: dict[str, Distribution], seen: SceneGraph
     if not free or not planes or not floors or target.root_prior is None:
         return target.template.root_pose
     floor = seen.poses()[floors[0].name]
+    if abs(floor[0, 2]) > 1.0 - WITHIN:  # the floor's normal is the image's x: no axis of it points to the right
+        return target.template.root_pose
     own = inverse(target.template.root_pose) @ target.template.poses()[planes[0].name]
     # The root's axes: its plane's normal is the floor's, x points to the right of the image, and the optical axis
     # meets its origin.
