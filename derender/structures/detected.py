@@ -178,9 +178,8 @@ def improved(rng: np.random.Generator, scene: Scene, placed: Placed, solids: lis
         graph = scene.target.graph(values)
         scene = scene._replace(root=graph.root_pose, drawn=graph)
         own = [Solid(vertex.body, graph.poses()[vertex.name]) for vertex in graph.vertices]
-        again = scene.begun()
-        for number, chosen in enumerate(placed.chosen):
-            again = scene.with_object(again, own, None if chosen is None else (number, np.eye(3)))
+        chosen = tuple(None if each is None else (number, np.eye(3)) for number, each in enumerate(placed.chosen))
+        again = stages_of(scene, [scene.begun()], chosen, own)[-1]
         begin = values, scene.values(resized(scene, again, own, backend))  # to touch may be to overlap, by rounding
         values = cooled(rng, scene.target, max(begin, key=lambda each: sum(backend.evaluate(each))))
     return values
@@ -188,19 +187,30 @@ def improved(rng: np.random.Generator, scene: Scene, placed: Placed, solids: lis
 
 def resized(scene: Scene, placed: Placed, solids: list[Solid], backend: Backend) -> Placed:
     """Return placed objects, the solids at which they are longer or shorter on one side where that is likelier."""
-    best, highest = placed, scene.height(placed, backend)
-    used = [chosen[0] for chosen in placed.chosen if chosen is not None]
-    for number, axis, side in [*product(used, range(3), (-1.0, 1.0))] * ROUNDS:
-        own = solids
-        for factor in FACTORS:
-            trial = [*own[:number], own[number].resized(axis, side, factor), *own[number + 1 :]]
-            again = scene.begun()
-            for chosen in placed.chosen:
-                again = scene.with_object(again, trial, chosen)
-            found = scene.height(again, backend)
-            if found > highest:
-                best, highest, solids = again, found, trial
-    return best
+    stages, highest = stages_of(scene, [scene.begun()], placed.chosen, solids), scene.height(placed, backend)
+    objects = [(k, chosen[0]) for k, chosen in enumerate(placed.chosen) if chosen is not None]
+    for _ in range(ROUNDS):
+        before = highest
+        for (first, number), axis, side in product(objects, range(3), (-1.0, 1.0)):
+            own = solids
+            for factor in FACTORS:
+                trial = [*own[:number], own[number].resized(axis, side, factor), *own[number + 1 :]]
+                again = stages_of(scene, stages[: first + 1], placed.chosen[first:], trial)
+                found = scene.height(again[-1], backend)
+                if found > highest:
+                    stages, highest, solids = again, found, trial
+        if highest == before:
+            break
+    return stages[-1]
+
+
+def stages_of(scene: Scene, stages: list[Placed], chosen: tuple[tuple[int, np.ndarray] | None, ...],
+              solids: list[Solid]) -> list[Placed]:  # fmt: skip
+    """Return stages of placing, each with one object more than the one before, with those that follow as `chosen`."""
+    stages = list(stages)
+    for each in chosen:
+        stages.append(scene.with_object(stages[-1], solids, each))
+    return stages
 
 
 def root_of(target: SceneTarget, laws: dict[str, Distribution], seen: SceneGraph) -> np.ndarray:

@@ -1,6 +1,8 @@
 """Places for walks to begin at: solids that are seen become the numbers of a given scene, whose images are theirs."""
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +10,10 @@ import pytest
 from derender.document import read_prior_document
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.sampler import Settings
+from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
-from derender.structures.detected import Solid, places_of, solids_seen, within
+from derender.structures import detected
+from derender.structures.detected import Solid, places_of, root_of, solids_seen, within
 from derender.structures.given import mixture_of, targets
 
 SCENE = """
@@ -46,7 +50,7 @@ def made(folder, root, seed):
     document = read_prior_document(folder / "scene.yaml")
     graph = document.prior.sample(rng)
     clean, _ = render_depth(graph.solids(), document.camera)
-    image = clean + 0.002 * rng.standard_normal(clean.shape)
+    image = blur(clean, 0.5) + 0.002 * rng.standard_normal(clean.shape)
     ((target, _),) = targets(document, image, document.camera, 0)
     backend = backend_of(target, mixture_of(target, Settings()))
     return target, backend, graph, sum(backend.evaluate(target.values(graph)))
@@ -81,6 +85,41 @@ def test_the_search_for_solids_leads_to_the_scene(tmp_path):
     scene = solids_seen(target, 0)
     places = places_of(np.random.default_rng(0), target, backend, scene)
     assert sum(backend.evaluate(places[0])) > truth - LEVEL
+
+
+def test_what_is_resized_into_another_leads_nowhere(tmp_path, monkeypatch):
+    target, backend, graph, truth = made(tmp_path, KNOWN_ROOT, 0)
+    tried = []
+
+    def first_as_it_is(scene, placed, solids, backend):  # then with the can where the box below is
+        tried.append(placed)
+        where = {**graph.numbers(), **{f"yellow.contact.{x}": graph.numbers()[f"green.contact.{x}"] for x in "xy"}}
+        inside = graph.with_numbers(where).vertex("yellow")
+        vertices = tuple(inside if vertex.name == "yellow" else vertex for vertex in placed.vertices)
+        return placed if len(tried) == 1 else placed._replace(vertices=vertices)
+
+    monkeypatch.setattr(detected, "resized", first_as_it_is)
+    monkeypatch.setattr(detected, "cooled", lambda rng, target, values: values)
+    places = places_of(np.random.default_rng(0), target, backend, graph)
+    assert len(tried) > 1 and sum(backend.evaluate(places[0])) > truth - LEVEL
+
+
+def test_an_interrupt_while_solids_are_looked_for_is_one(tmp_path, monkeypatch):
+    target, *_ = made(tmp_path, KNOWN_ROOT, 0)
+    found = SimpleNamespace(meta={"interrupted": True}, best_graph=lambda: None)
+    monkeypatch.setattr("derender.structures.infer.infer_structure", lambda *_: found)
+    with pytest.raises(KeyboardInterrupt):
+        solids_seen(target, 0)
+
+
+def test_a_camera_on_its_side_keeps_its_root(tmp_path):
+    target, _, graph, _ = made(tmp_path, FREE_ROOT, 0)
+    laws = {unknown.address: unknown.distribution for unknown in target.space.unknowns}
+    on_its_side = np.eye(4)
+    on_its_side[:3, :3] = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # the floor's normal is x
+    on_its_side[:3, 3] = 0.5, 0.0, 1.0
+    assert np.isfinite(root_of(target, laws, graph)).all()
+    assert (root_of(target, laws, replace(graph, root_pose=on_its_side)) == target.template.root_pose).all()
 
 
 def test_a_solid_grows_away_from_the_face_that_stays(tmp_path):
