@@ -146,7 +146,8 @@ def floor_on(shape: tuple[int, int], good: np.ndarray, flat: np.ndarray, normal:
     return Floor(frame_of(normal, offset, flat[inner].mean(axis=0)), max(sigma, 3e-4), inliers)
 
 
-ROUNDS_OF_NOISE = 12  # in which the pixels that are on the plane are told again, at most
+# Rounds in which the pixels that are on the plane are told again, at most; standard deviations of a step to end with.
+ROUNDS_OF_NOISE, LITTLE = 12, 0.1
 HORIZON = 5.0  # pixels under the horizon from which on a blur shows in a floor's depths as their second derivative does
 
 
@@ -172,13 +173,17 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
         if on.sum() < FEWEST or (on == before).all():
             break
         change = np.column_stack([-rays[on] / w[on, None] ** 2, steepness**2 / w[on] ** 3]) / sigma[on, None]
-        numbers += np.linalg.lstsq(change.T @ change, change.T @ (residual[on] / sigma[on]), rcond=None)[0]
+        precision = change.T @ change
+        step = np.linalg.lstsq(precision, change.T @ (residual[on] / sigma[on]), rcond=None)[0]
+        numbers += step
         numbers[3] = max(numbers[3], 0.0)
         length = float(np.linalg.norm(numbers[:3]))
         normal, offset = -numbers[:3] / length, -1.0 / length
         inliers = np.zeros(depth.shape, bool)
         inliers.flat[good[on]] = True
         told = Floor(frame_of(normal, offset, flat[on].mean(axis=0)), floor.sigma, inliers)
+        if step @ precision @ step < LITTLE**2:
+            break
     if told is floor:
         return floor
     scale = 1.4826 * float(np.median(np.abs(flat[told.inliers.ravel()[good]] @ normal - offset)))

@@ -190,6 +190,8 @@ def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
 def background_over_floor(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions over the visible floor that are taken as background: what stands there is
     not told. What lies beyond it, the room behind a table, says nothing of what is on it."""
+    if not fit.background.any():
+        return []
     valid, poses = np.isfinite(observed), graph.poses()
     points, over = camera.points(observed), np.zeros(observed.shape, bool)
     for pose in (poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None):

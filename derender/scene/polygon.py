@@ -107,6 +107,7 @@ def area_element(u, theta, a, b, c, d, radius):
     return 2.0 * half * (upper(x, theta, a, b, c, d, radius) + upper(-x, theta, a, b, c, d, radius))
 
 
+MANY = 200  # points, of which it pays to leave out first those that are well inside
 FLAT = 1e-10  # area over squared extent below which points count as being on a line
 
 
@@ -116,6 +117,8 @@ def convex_outline(points: np.ndarray) -> np.ndarray | None:
     Without scipy, whose import takes long. Two monotone chains (Andrew 1979), there and back; corners at which the way
     hardly turns are left out afterwards.
     """
+    if len(points) > MANY:
+        points = points[outermost(points)]
     if len(points) < 3:
         return None
     flat = FLAT * np.ptp(points, axis=0).max() ** 2
@@ -125,6 +128,32 @@ def convex_outline(points: np.ndarray) -> np.ndarray | None:
     x, y = (corners - corners[0]).T
     area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
     return corners if area > flat else None
+
+
+@njit(cache=True, nogil=True)
+def outermost(points):
+    """Return (N,) bool: points (N, 2) that are not inside the octagon of those farthest in eight directions.
+
+    The others are no corners of the hull (Akl and Toussaint 1978), and need no sorting.
+    """
+    ways = np.array(
+        [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (-1.0, 1.0), (-1.0, 0.0), (-1.0, -1.0), (0.0, -1.0), (1.0, -1.0)]
+    )
+    farthest = np.zeros(len(ways), np.int64)
+    for k in range(len(ways)):
+        most = -np.inf
+        for n in range(len(points)):
+            far = ways[k, 0] * points[n, 0] + ways[k, 1] * points[n, 1]
+            if far > most:
+                farthest[k], most = n, far
+    found = np.zeros(len(points), np.bool_)
+    for k in range(len(ways)):
+        corner, after = points[farthest[k]], points[farthest[(k + 1) % len(ways)]]
+        ax, ay = after[0] - corner[0], after[1] - corner[1]
+        found[farthest[k]] = True
+        for n in range(len(points) if ax != 0.0 or ay != 0.0 else 0):
+            found[n] |= ax * (points[n, 1] - corner[1]) - ay * (points[n, 0] - corner[0]) <= 0.0
+    return found
 
 
 @njit(cache=True, nogil=True)
