@@ -148,7 +148,7 @@ def test_what_has_no_compiled_form_says_so(monkeypatch):
         CompiledBackend(world.blank, parts)
     assert isinstance(backend_of(world.blank, parts), InterpretedBackend)
     told = []
-    settings = Settings(kernels=[{"resimulate": {}}], draws=5, warmup=0, chains=1, population=1)
+    settings = Settings(kernels=[{"resimulate": {}}], draws=5, warmup=0, chains=1, population=1, thin=1)
     image = np.full((18, 24), 0.7)
     infer_scene(world.document, image, world.document.camera, settings, warn=told.append)
     assert told == ["chains run uncompiled, a hundred times slower: there is no compiled form of the contact type "

@@ -115,7 +115,7 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
 def test_chains_that_disagree_go_on_as_if_never_stopped(monkeypatch):
     monkeypatch.setattr(given, "_enough", lambda target, outcome, draws: 40 if draws < 40 else 0)  # twice they disagree
     world, _, image = image_of(TOWER)
-    few = Settings(draws=10, warmup=20, chains=2, thin=2)
+    few = Settings(draws=10, warmup=20, chains=2, thin=2, population=1)
     shapes = []
     for settings in (few, few._replace(goes_on=True)):
         part = infer_scene(world.document, image, world.document.camera, settings).posterior.parts[0]
