@@ -136,29 +136,36 @@ def _spread_within(square, spread):
     return spread
 
 
-# Median share of a step that leaks across it, by the blur's standard deviation in pixels: measured on ideal steps in
-# all directions (tests/detection/test_noise.py makes them again).
-SIGMAS = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
-LEAKS = (0.0, 0.005, 0.039, 0.119, 0.194, 0.249, 0.278)
+# By how many pixels lie from one that is looked at to the next: blurs, by their standard deviations in pixels, and the
+# median share of a step that leaks across it then: measured on ideal steps in all directions
+# (tests/detection/test_noise.py makes them again). Of wider blurs that share tells the less.
+LEAKS = {
+    1: ((0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.005, 0.039, 0.119, 0.194, 0.249, 0.278)),
+    2: ((0.6, 0.8, 1.0, 1.2, 1.4), (0.059, 0.172, 0.221, 0.244, 0.257)),
+    4: ((1.2, 1.4, 1.6, 1.8, 2.0, 2.4, 2.8, 3.2), (0.067, 0.110, 0.154, 0.193, 0.219, 0.244, 0.258, 0.266)),
+}
 LEAST_STEP = 30.0  # standard deviations of the noise: smaller steps tell little
 LEAST_COUNT = 60
 LEAST_LEAK = 0.03  # below it the image is as good as sharp
+UNCLEAR = 0.35  # of the steps that are clear farther apart: of a blur as wide as the pixels are apart fewer are
 
 
-def leaks(inverse_depth: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def leaks(inverse_depth: np.ndarray, noise: np.ndarray, stride: int = 1) -> np.ndarray:
     """Return the shares of the steps that leak to the pixel beside them, along rows and columns.
 
     Inverse depth is affine on a plane, so two pixels on either side say what the next one would be without the blur.
 
-    inverse_depth : (H, W), NaN where nothing returned; noise : (H, W), its standard deviation.
+    inverse_depth : (H, W), NaN where nothing returned; noise : (H, W), its standard deviation. stride : pixels from
+    one that is looked at to the next.
     """
     shares = []
     for w, n in ((inverse_depth, noise), (inverse_depth.T, noise.T)):
-        a, b, p, q, c, d = (w[:, k : w.shape[1] - 5 + k] for k in range(6))
+        end = w.shape[1] - 5 * stride
+        a, b, p, q, c, d = (w[:, k * stride : max(end, 0) + k * stride] for k in range(6))
         left_p, left_q, right_p, right_q = 2 * b - a, 3 * b - 2 * a, 3 * c - 2 * d, 2 * c - d
         step_p, step_q = right_p - left_p, right_q - left_q
         with np.errstate(invalid="ignore"):
-            clear = np.minimum(abs(step_p), abs(step_q)) > LEAST_STEP * n[:, 2 : w.shape[1] - 3]
+            clear = np.minimum(abs(step_p), abs(step_q)) > LEAST_STEP * n[:, 2 * stride : max(end, 0) + 2 * stride]
             clear &= (step_p * step_q > 0) & (abs(step_p - step_q) < 0.3 * abs(step_p))
         for share in ((p - left_p)[clear] / step_p[clear], (right_q - q)[clear] / step_q[clear]):
             shares.append(np.minimum(share, 1 - share))
@@ -171,9 +178,20 @@ def estimate_blur(depth: np.ndarray, sigma: float | np.ndarray) -> float:
     depth : (H, W) metres, NaN or 0 = no return; sigma : (H, W) or float, standard deviation of the noise in metres.
     """
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan)
-    shares = leaks(1 / depth, np.broadcast_to(sigma, depth.shape) / depth**2)
-    leak = float(np.median(shares)) if len(shares) >= LEAST_COUNT else 0.0
-    return float(np.interp(leak, LEAKS, SIGMAS)) if leak > LEAST_LEAK else 0.0
+    inverse, noise = 1 / depth, np.broadcast_to(sigma, depth.shape) / depth**2
+    told, wide, clear = 0.0, False, np.inf
+    for stride, (sigmas, shares_by_sigma) in LEAKS.items():
+        shares = leaks(inverse, noise, stride)
+        if stride == 1 and np.isnan(shares).any():  # a sensor that loses pixels beside jumps does not blur them
+            break
+        shares = shares[np.isfinite(shares)]
+        if stride > 1 and not wide and clear >= UNCLEAR * len(shares) / stride:
+            break
+        wide, clear = False, len(shares) / stride
+        if len(shares) >= LEAST_COUNT and (leak := float(np.median(shares))) > LEAST_LEAK:
+            told = float(np.interp(leak, shares_by_sigma, sigmas))
+            wide = told > sigmas[-2]
+    return told
 
 
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
@@ -387,8 +405,9 @@ def unmixed(depth: np.ndarray, beside: np.ndarray, blurred: float, sigma: float)
         sharp = without_leaks(seen, blurred, sigma)
         left = leaks(1.0 / np.where(there, sharp, np.nan), sigma / sharp**2)
         if len(left):
-            leaked = np.interp(blurred, SIGMAS, LEAKS) + np.median(left)
-            blurred = min(float(np.interp(leaked, LEAKS, SIGMAS)), MOST_UNMIXED)
+            sigmas, shares_by_sigma = LEAKS[1]
+            leaked = np.interp(blurred, sigmas, shares_by_sigma) + np.median(left)
+            blurred = min(float(np.interp(leaked, shares_by_sigma, sigmas)), MOST_UNMIXED)
     sharp = without_leaks(seen, blurred, sigma)
     return np.where(there, sharp, np.where(beside, np.nan, depth))
 

@@ -45,8 +45,8 @@ from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
 
-FIRST_LOOK = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)  # standard deviations in pixels
-STEPS = (0.05, 0.025, 0.0125, 0.006, 0.003)  # of the closer look
+FIRST_LOOK = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3, 1.7, 2.1, 2.6, 3.2)  # standard deviations in pixels
+STEPS = (0.2, 0.1, 0.05, 0.025, 0.0125, 0.006, 0.003)  # of the closer look: more in all than half of any gap
 
 
 def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, float]:
@@ -73,6 +73,7 @@ def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, floa
 # Share by which the gains of first solids are shaken (see `greedy`) in every other search: those that begin with the
 # same solids end in the same optima, and their agreement would tell nothing.
 SHAKEN = 0.5
+FOCUSED = 4  # greedy searches for the blur, at most: each tells it better
 ROUNDS = 2  # of as many searches as there are threads, at most
 HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
@@ -225,16 +226,15 @@ def one_search(
     early : list to which it appends the Found of what was settled before the moves.
     state : to begin with instead of a greedy search. shake : of that search, see `greedy`.
     """
-    state = None if state is None else state.copy()  # the other search goes on from the same
     if state is None:
-        state = greedy(rng, image, hypotheses, settings, shake=shake)
-        image, gained = refocused(image, state.rows, settings.price)
-        if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
-            state = greedy(rng, image, hypotheses, settings, shake=shake)
-            image, _ = refocused(image, state.rows, settings.price)
-        state = settle(rng, image, state, settings)
+        for _ in range(FOCUSED):
+            found = greedy(rng, image, hypotheses, settings, shake=shake)
+            image, gained = refocused(image, found.rows, settings.price)
+            if gained <= settings.price:  # else what stood for the blur is not to be polished but found otherwise
+                break
+        state = settle(rng, image, found, settings)
         image, _ = refocused(image, state.rows, settings.price)
-    climb = Climb(rng, Task(image, settings, hypotheses), state)
+    climb = Climb(rng, Task(image, settings, hypotheses), state.copy())  # the other search goes on from the same
     early.append(Found(state.copy(), climb.energy, image, []))
     for stage in (explain_rest, repair, explain_rest, explain_otherwise):
         stage(climb)
