@@ -29,11 +29,10 @@ from derender.detection.solids.beliefs import Beliefs, box_log_density
 from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, periods_of, without
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
-from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
-from derender.scene.pose import inverse
+from derender.scene.graph import Contact, SceneGraph, Vertex, nearest_contact
+from derender.scene.pose import inverse, translation
 from derender.scene.priors.bare_image import Cartons
 from derender.scene.solids import BOX
-from derender.structures.draws.numbers import numbers_at
 
 FEWEST = 4  # boxes of a grid: two or three are found as such
 # Nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below.
@@ -358,42 +357,37 @@ def divide(
 
 def as_grid(part: StructurePosterior, boxes: Sequence[str], grid: Grid) -> StructurePosterior:
     """Return a structure whose box, or some that are flush, are a grid, its draws those of their hull."""
-    best, _ = part.best()
-    names = {place: f"{boxes[0]}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
-    graph, whole = part.graph, hull_of(best, boxes)
-    for name in boxes:
-        graph = graph.remove(name)
-    graph.poses()  # once: a graph that grows keeps what it knows
-    for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
-        pose, size = carton(best, whole, grid, (i, j, k))
-        vertex = Vertex(own, "box", dict(zip(EXTENTS, map(float, size), strict=True)), ROOT, floating(pose))
-        parent = FLOOR_NAME if k == 0 else names[i, j, k - 1]
-        contact, _ = graph.add(vertex).nearest_contact(own, parent, ON_A_FACE[0], "+z", "-z")
-        graph = graph.add(replace(vertex, parent=parent, contact=without(contact, "gap", *TILTS)))
+    graph = with_cartons(part.graph, part.best()[0], boxes, grid)
     every = max(1, part.log_density.shape[1] // DRAWS)
     part = part.at((slice(None), slice(None, None, every)))
     others = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] not in boxes]
-    own_addresses = [address for address in graph.numbers() if address.partition(".")[0] in names.values()]
+    own_addresses = [address for address in graph.numbers() if address.partition(".")[0] not in part.graph.names]
     drawn = np.empty((*part.log_density.shape, len(own_addresses)))
     for place in np.ndindex(part.log_density.shape):
-        box = part.graph_at(*place)
-        whole, places = hull_of(box, boxes), {}
-        for cell, own in names.items():
-            pose, size = carton(box, whole, grid, cell)
-            places[own] = pose, dict(zip(EXTENTS, map(float, size), strict=True))
-        numbers = numbers_at(replace(graph, root_pose=box.root_pose), box.root_pose, places)
+        scene = part.graph_at(*place)
+        numbers = with_cartons(scene, scene, boxes, grid).numbers()
         drawn[place] = [numbers[address] for address in own_addresses]
     addresses = (*(part.addresses[k] for k in others), *own_addresses)
     return replace(part, graph=graph, addresses=addresses, periods=periods_of(graph, addresses),
                    values=np.concatenate([part.values[..., others], drawn], axis=2))  # fmt: skip
 
 
-def carton(
-    graph: SceneGraph, whole: tuple[np.ndarray, np.ndarray], grid: Grid, cell: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (pose (4, 4) in the floor's axes, size (3,)) of one carton of a grid that fills a box, see `hull_of`."""
-    count = np.array(grid.parts)
-    size = (whole[1] - (count - 1) * grid.gap) / count
-    pose = inverse(graph.root_pose) @ whole[0]
-    pose[:3, 3] += pose[:3, :3] @ ((np.array(cell) - 0.5 * (count - 1)) * (size + grid.gap))
-    return pose, size
+def with_cartons(graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], grid: Grid) -> SceneGraph:
+    """Return a graph with a grid of cartons, lower layers first, in place of boxes whose hull in a scene it fills."""
+    (pose, extents), count = hull_of(scene, boxes), np.array(grid.parts)
+    size = (extents - (count - 1) * grid.gap) / count
+    first, numbers = boxes[0], dict(zip(EXTENTS, map(float, size), strict=True))
+    names = {place: f"{first}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
+    poses, bodies = {FLOOR_NAME: scene.poses()[FLOOR_NAME]}, {FLOOR_NAME: graph.body(FLOOR_NAME)}
+    cartons = []
+    for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
+        parent = FLOOR_NAME if k == 0 else names[i, j, k - 1]
+        made = Vertex(own, "box", numbers, parent, Contact(ON_A_FACE[0]))
+        poses[own] = pose @ translation(*((np.array([i, j, k]) - 0.5 * (count - 1)) * (size + grid.gap)))
+        bodies[own] = made.body
+        contact, _ = nearest_contact(inverse(poses[parent]) @ poses[own], bodies[parent], made.body, ON_A_FACE[0], "+z",
+                                     "-z")  # fmt: skip
+        cartons.append(replace(made, contact=without(contact, "gap", *TILTS)))
+    for name in boxes:
+        graph = graph.remove(name)
+    return graph.add(*cartons)

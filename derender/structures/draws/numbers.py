@@ -1,12 +1,9 @@
 """From draws of coordinates (chart.py) to a graph's numbers by address."""
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image
-from derender.detection.solids.graph import turns_freely
+from derender.detection.solids.graph import periods_of, turns_freely
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -25,31 +22,6 @@ from derender.structures.draws.chart import KIND, Chart, camera_poses, log_prior
 EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
            "cylinder": ((0, 0.5), (2, 1.0))}  # fmt: skip
 NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
-
-
-def numbers_at(graph: SceneGraph, floor_pose: np.ndarray, places: Any) -> dict[str, float]:
-    """Return the graph's numbers by address when its solids are elsewhere and of other sizes, contacts kept.
-
-    floor_pose : (4, 4), floor frame to camera. places : by name, a pose (4, 4) in the floor frame and psi by name, or
-        None where that is no unknown.
-    """
-    bodies, poses, numbers = {ROOT: graph.body(ROOT)}, {ROOT: np.asarray(floor_pose, float)}, {}
-    for vertex in graph.vertices:
-        bodies[vertex.name] = graph.body(vertex.name)
-        if vertex.name not in places:
-            poses[vertex.name] = graph.poses()[vertex.name]
-            continue
-        local, parameters = places[vertex.name]
-        if parameters is not None:
-            bodies[vertex.name] = replace(vertex, parameters=parameters).body
-            numbers.update({f"{vertex.name}.{key}": value for key, value in parameters.items()})
-        poses[vertex.name] = floor_pose @ local
-        relative, contact = inverse(poses[vertex.parent]) @ poses[vertex.name], vertex.contact
-        found = contacts[contact.type].invert(
-            relative, bodies[vertex.parent], bodies[vertex.name], contact.parent_face, contact.child_face
-        )
-        numbers.update({f"{vertex.name}.contact.{key}": found.values[key] for key in contact.values})
-    return numbers
 
 
 def contact_numbers(
@@ -99,7 +71,6 @@ def numbers_of_draws(chart, draws, graph, names):
                     FEATURE_CODES[contact.child_face])  # fmt: skip
     phi, sizes, root = contact_numbers(chart, np.ascontiguousarray(draws), parents, codes)
     found: dict[str, np.ndarray] = {}
-    periods: dict[str, float | None] = {}
     for k, name in enumerate(names):
         vertex = graph.vertex(name)
         contact = vertex.contact
@@ -107,12 +78,10 @@ def numbers_of_draws(chart, draws, graph, names):
             found[f"{name}.{parameter.name}"] = share * sizes[:, k, axis]
         for slot, parameter in enumerate(graph.contact_parameters(name)):
             if parameter.name in contact.values and not (parameter.name == "theta" and turns_freely(vertex)):
-                address = f"{name}.contact.{parameter.name}"
-                found[address] = phi[:, k, slot]
-                periods[address] = parameter.period
+                found[f"{name}.contact.{parameter.name}"] = phi[:, k, slot]
     addresses = tuple(a for a in graph.numbers() if a in found)
     values = np.stack([found[a] for a in addresses], axis=1) if addresses else np.empty((len(draws), 0))
-    return addresses, values, tuple(periods.get(a) for a in addresses), root
+    return addresses, values, periods_of(graph, addresses), root
 
 
 def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
