@@ -25,7 +25,7 @@ from derender.camera.image_files import DAMAGE, MOST_BYTES, decode_npz, read_byt
 from derender.camera.intrinsics import Camera, finite_number, from_matrix, numbers_in
 from derender.errors import DerenderError, at_fault
 from derender.json_text import MOST_DEPTH, parse_json
-from derender.scene.pose import inverse, rotation_z
+from derender.scene.pose import from_axes, inverse, rotation_z
 
 STRAY_SCANNER = (1920, 1440)  # pixels of the video that its camera_matrix.csv belongs to
 RIGHT_SOCKET = 2  # of an OAK: its depth is that of the rectified right camera
@@ -391,10 +391,8 @@ def _bop(frame: Mapping[str, Any]) -> np.ndarray:
     """Return the pose of an entry of a scene_camera.json: it holds world to camera, millimetres."""
     if "cam_R_w2c" not in frame or "cam_t_w2c" not in frame:
         raise DerenderError("an entry has no cam_R_w2c and cam_t_w2c", remedy=REMEDY)
-    pose = np.eye(4)
-    pose[:3, :3] = np.reshape([finite_number(x, "cam_R_w2c") for x in frame["cam_R_w2c"]], (3, 3))
-    pose[:3, 3] = [finite_number(x, "cam_t_w2c") / 1000.0 for x in frame["cam_t_w2c"]]
-    return inverse(pose)
+    axes = np.reshape([finite_number(x, "cam_R_w2c") for x in frame["cam_R_w2c"]], (3, 3)).T
+    return inverse(from_axes(axes, [finite_number(x, "cam_t_w2c") / 1000.0 for x in frame["cam_t_w2c"]]))
 
 
 def _of_images(found: list[Any] | dict[str, Any], images: Sequence[str]) -> np.ndarray:

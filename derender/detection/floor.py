@@ -16,6 +16,7 @@ from derender.detection.patches import local_planes
 from derender.detection.pyramid import intrinsics, noise_of
 from derender.errors import DerenderError
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
+from derender.scene.pose import upright_frame
 
 USUAL = 0.8  # metres from which household things are looked at
 BESIDE = 0.1  # metres, seen from USUAL, from its foot over which the floor beside a solid counts by half or more
@@ -316,13 +317,8 @@ def given_floor(depth: np.ndarray, camera: dict[str, float], floor: np.ndarray |
 
 def frame_of(normal: np.ndarray, offset: float, near: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4) of the frame in the plane normal . p = offset, z along the normal, origin under `near`."""
-    fx = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    right = fx - (fx @ normal) * normal
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, np.cross(normal, right), normal])
-    pose[:3, 3] = near - (near @ normal - offset) * normal
-    return pose
+    along = [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 0.0, 1.0]
+    return upright_frame(normal, along, near - (near @ normal - offset) * normal)
 
 
 def pixel_noise(depth: np.ndarray) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from derender.camera.image_files import read_numbers
 from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
-from derender.scene.pose import from_rotation_vector
+from derender.scene.pose import from_axes, from_rotation_vector
 
 MILLIMETRE = 1e-3
 TURNS = 64  # by which a continuous symmetry is stood for
@@ -45,9 +45,8 @@ def bop_scene(
         low = np.array([model[f"min_{axis}"] for axis in "xyz"], float) * MILLIMETRE
         size = np.array([model[f"size_{axis}"] for axis in "xyz"], float) * MILLIMETRE
         middle = low + 0.5 * size
-        pose = np.eye(4)
-        pose[:3, :3] = np.reshape(entry["cam_R_m2c"], (3, 3))
-        pose[:3, 3] = np.array(entry["cam_t_m2c"]) * MILLIMETRE + pose[:3, :3] @ middle
+        axes = np.reshape(entry["cam_R_m2c"], (3, 3))
+        pose = from_axes(axes.T, np.array(entry["cam_t_m2c"]) * MILLIMETRE + axes @ middle)
         count[number] = count.get(number, 0) + 1
         name = f"object_{number}" + (f"_{count[number]}" if count[number] > 1 else "")
         item = {"name": name, "type": "mesh", "size": size.tolist(), "pose": pose.tolist()}

@@ -10,7 +10,7 @@ from derender.errors import DerenderError, at_fault
 from derender.physics.bodies import Body, Matter
 from derender.registry import suggest
 from derender.scene.codec.yaml_tree import parse_number
-from derender.scene.pose import from_rotation_vector, moved
+from derender.scene.pose import from_axes, from_rotation_vector, moved
 
 
 class Push(NamedTuple):
@@ -220,10 +220,8 @@ def _put_on(under: Body, name: str, kind: str, size: np.ndarray, place: tuple[fl
         height = 0.5 * float(under.size[0])
     elif under.kind != "plane":
         height = 0.5 * float(np.abs(axes[:, 2] @ under.pose[:3, :3]) @ under.size)
-    pose = np.eye(4)
-    pose[:3, :3] = axes
-    pose[:3, 3] = under.pose[:3, 3] + axes @ np.array([*place, height + 0.5 * size[2]])
-    return Body(name, kind, size, pose)
+    middle = under.pose[:3, 3] + axes @ np.array([*place, height + 0.5 * size[2]])
+    return Body(name, kind, size, from_axes(axes.T, middle))
 
 
 def intervention(

@@ -129,7 +129,7 @@ def candidates(graph: SceneGraph) -> list[tuple[np.ndarray, float, float, float]
             forward = (middle - eye) / distance
             right = np.cross(forward, up)
             right /= np.linalg.norm(right)
-            pose = from_axes(right, np.cross(forward, right), forward, eye)
+            pose = from_axes((right, np.cross(forward, right), forward), eye)
             found.append((pose, float(turn), float(elevation), float(np.linalg.norm(eye))))
     return found
 

@@ -21,6 +21,7 @@ from derender.physics.intervention import Intervention, intervention
 from derender.physics.statics import ContactForce, Equilibrium
 from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory, Verdict, judge
 from derender.registry import suggest
+from derender.scene.pose import upright_frame
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -211,9 +212,7 @@ def upright_axes(matter: Matter) -> np.ndarray:
     along = np.array([1.0, 0.0, 0.0]) if floor is None else floor.pose[:3, 0]
     if abs(along @ up) > 0.9:
         along = np.array([0.0, 1.0, 0.0])
-    along = along - (along @ up) * up
-    along /= np.linalg.norm(along)
-    return np.column_stack([along, np.cross(up, along), up])
+    return upright_frame(up, along)[:3, :3]
 
 
 def _may_yet_rest(trajectory: Trajectory) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 
 from derender.scene import solids as kinds
 from derender.scene.graph import SceneGraph
-from derender.scene.pose import from_axes, inverse
+from derender.scene.pose import inverse, upright_frame
 from derender.scene.shapes.kinds import box_mesh
 from derender.scene.solids import Solids
 
@@ -77,10 +77,7 @@ def upright_pose(graph: SceneGraph) -> np.ndarray:
     of the lowest origin), and x is the camera's x, level.
     """
     up = -graph.down()
-    right = np.array([1.0, 0.0, 0.0]) - up * up[0]
-    if np.linalg.norm(right) < 1e-6:
-        right = np.array([0.0, 0.0, 1.0]) - up * up[2]
-    right /= np.linalg.norm(right)
+    along = [1.0, 0.0, 0.0] if np.hypot(up[1], up[2]) > 1e-6 else [0.0, 0.0, 1.0]
     solids = graph.solids()
     extended = solids.kind != kinds.PLANE
     centres = solids.pose[extended, :3, 3]
@@ -91,4 +88,4 @@ def upright_pose(graph: SceneGraph) -> np.ndarray:
         height = normal @ (middle - planes[0, :3, 3]) / (normal @ up)
     else:
         height = max(((middle - centre) @ up for centre in centres), default=0.0)
-    return inverse(from_axes(right, np.cross(up, right), up, middle - height * up))
+    return inverse(upright_frame(up, along, middle - height * up))

@@ -26,7 +26,7 @@ from derender.results.fit import Explanation
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.scene.pose import inverse, rotation_z
+from derender.scene.pose import from_axes, inverse, rotation_z
 from derender.scene.priors.objects import check_range
 from derender.scene.shapes import shapes
 
@@ -413,12 +413,11 @@ def symmetric_turns(first: SceneGraph, graph: SceneGraph) -> dict[str, np.ndarra
     """
     here, there, turns = graph.poses(), first.poses(), {}
     for vertex in graph.vertices:
-        symmetry, turn = vertex.body.shape.symmetry, np.eye(4)
+        symmetry = vertex.body.shape.symmetry
         relative = here[vertex.name][:3, :3].T @ there[vertex.name][:3, :3]
         near = max(symmetry.rotations, key=lambda rotation: float(np.sum(rotation * relative)))
         if symmetry.axis == "z":  # and about it as it is there
             left = near.T @ relative
             near = near @ rotation_z(float(np.arctan2(left[1, 0] - left[0, 1], left[0, 0] + left[1, 1])))[:3, :3]
-        turn[:3, :3] = relative if symmetry.axis == "all" else near
-        turns[vertex.name] = turn
+        turns[vertex.name] = from_axes((relative if symmetry.axis == "all" else near).T)
     return turns

@@ -33,16 +33,18 @@ def rotation_z(angle: float) -> np.ndarray:
     return np.array([[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
 
 
-def from_axes(
-    x_axis: tuple[int, int, int] | np.ndarray,
-    y_axis: tuple[int, int, int] | np.ndarray,
-    z_axis: tuple[int, int, int] | np.ndarray,
-    origin: Any = (0.0, 0.0, 0.0),
-) -> np.ndarray:
-    """Return the (4, 4) pose of a frame whose axes and origin are given in the parent's coordinates, (3,) each."""
+def from_axes(axes: Any, origin: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the (4, 4) pose of a frame whose three axes and origin are given in the parent's coordinates."""
     pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x_axis, y_axis, z_axis, origin
+    pose[:3, :3], pose[:3, 3] = np.transpose(axes), origin
     return pose
+
+
+def upright_frame(up: np.ndarray, along: Any = (1.0, 0.0, 0.0), origin: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the (4, 4) pose of a frame whose z is the unit vector `up`, and x as near `along` as that lets it be."""
+    x = along - np.dot(along, up) * up
+    x /= np.linalg.norm(x)
+    return from_axes((x, np.cross(up, x), up), origin)
 
 
 def inverse(pose: np.ndarray) -> np.ndarray:
@@ -65,10 +67,7 @@ def from_quaternion(quat_wxyz: Any, position: Any = (0.0, 0.0, 0.0)) -> np.ndarr
     length = math.sqrt(sum(part * part for part in quat))
     if not 0.0 < length < math.inf:
         raise ValueError("a quaternion needs a finite length above zero")
-    pose = np.eye(4)
-    pose[:3, :3] = np.reshape(rotation_numbers(*(part / length for part in quat)), (3, 3))
-    pose[:3, 3] = position
-    return pose
+    return from_axes(np.reshape(rotation_numbers(*(part / length for part in quat)), (3, 3)).T, position)
 
 
 def rotation_numbers(w: float, x: float, y: float, z: float) -> tuple[float, ...]:

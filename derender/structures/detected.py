@@ -19,7 +19,7 @@ from derender.posterior.target import SceneTarget
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex, relative_pose
-from derender.scene.pose import inverse
+from derender.scene.pose import from_axes, inverse, upright_frame
 from derender.scene.shapes import Body, Shape
 from derender.scene.shapes.kinds import ROTATIONS
 from derender.scene.solids import BOX
@@ -227,10 +227,8 @@ def root_of(target: SceneTarget, laws: dict[str, Distribution], seen: SceneGraph
     # The root's axes: its plane's normal is the floor's, x points to the right of the image, and the optical axis
     # meets its origin.
     up = floor[:3, 2]
-    right = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(up, right), up], axis=1) @ own[:3, :3].T
+    pose = upright_frame(up)
+    pose[:3, :3] = pose[:3, :3] @ own[:3, :3].T
     above = float(own[:3, 2] @ own[:3, 3])
     pose[2, 3] = (up @ floor[:3, 3] - above) / (up[2] if abs(up[2]) > WITHIN else -WITHIN)
     values = target.root_prior.values(pose)
@@ -265,8 +263,7 @@ def at_solid(
     """
     extents = solid.body.size()
     assert extents is not None
-    size, turn = np.abs(turned).T @ extents, np.eye(4)
-    turn[:3, :3] = turned
+    size, turn = np.abs(turned).T @ extents, from_axes(turned.T)
     numbers = dict(vertex.parameters)
     wanted = vertex.body.shape.psi_from_size(size, vertex.options)
     for parameter, value in zip(vertex.body.shape.parameters, wanted, strict=True):

@@ -14,6 +14,7 @@ from derender.detection.solids.support import LEAST_GAP, touches
 from derender.errors import DerenderError
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating
+from derender.scene.pose import from_axes
 from derender.scene.solids import BOX, SPHERE
 
 if TYPE_CHECKING:
@@ -30,11 +31,9 @@ TILTS = ("tilt", "tilt_x", "tilt_y")
 
 def pose_of(row: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4), object to floor frame, of a row."""
-    pose = np.eye(4)
     # a sphere may be turned as one likes: so that its contact needs no turn
-    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) if int(row[0]) == SPHERE else rotation_of(row)
-    pose[:3, 3] = row[10:13]
-    return pose
+    axes = np.diag([1.0, -1.0, -1.0]) if int(row[0]) == SPHERE else rotation_of(row)
+    return from_axes(axes.T, row[10:13])
 
 
 def vertex_of(row: np.ndarray, cube: bool, name: str) -> Vertex:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.scene.pose import from_axes
 from derender.scene.solids import PLANE, Solids
 
 SUPERSAMPLING = 2
@@ -125,9 +126,7 @@ def _lit(
     back = -sun
     side = _unit(np.cross([0.0, 1.0, 0.0], back))
     rotation = np.stack([side, np.cross(back, side), back])  # camera frame to sun's frame
-    to_sun = np.eye(4)
-    to_sun[:3, :3] = rotation
-    to_sun[:3, 3] = rotation @ (-centre) + [0, 0, distance]
+    to_sun = from_axes(rotation.T, rotation @ (-centre) + [0, 0, distance])
     pixels = min(SUN_PIXELS * max(label.shape), MOST_SUN_PIXELS)
     focal = pixels / 2 * (distance - radius) / (radius * 1.3)
     eye = Camera(focal, focal, (pixels - 1) / 2, (pixels - 1) / 2, pixels, pixels)

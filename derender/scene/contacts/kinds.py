@@ -23,7 +23,7 @@ from derender.scene.shapes import Body, Shape
 contacts: Registry["ContactType"] = Registry("contact", "derender.contacts")
 
 # Turns a frame by pi about x: the child's outward normal meets the parent's head on.
-FLIP = from_axes((1, 0, 0), (0, -1, 0), (0, 0, -1))
+FLIP = from_axes(((1, 0, 0), (0, -1, 0), (0, 0, -1)))
 offset_from_uv, uv_from_offset = interpreted(polygon.offset_from_uv), interpreted(polygon.uv_from_offset)
 rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.chart_of)
 
@@ -111,10 +111,8 @@ class SurfaceContact(ContactType):
 
     def rotation(self, theta: float, first: float, second: float, child_face: str) -> np.ndarray:
         """Return the (4, 4) rotation Rz(theta) . turn."""
-        pose = np.eye(4)
         numbers = rotation_by(self.compiled_code, FEATURE_CODES[child_face], theta, first, second)
-        pose[:3, :3] = np.reshape(numbers, (3, 3))
-        return pose
+        return from_axes(np.reshape(numbers, (3, 3)).T)
 
     def parameters(self, parent: Any, child: Any, parent_face: Any, child_face: Any) -> tuple[Parameter, ...]:
         # A plane under a cube is as symmetric as the cube: the bounded one of the two decides (Eq. 3).

@@ -181,7 +181,7 @@ class Cylinder(Round):
     def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         radius, height = float(psi[0]), float(psi[1])
         if name == "side":  # x along the axis, z towards the line that touches where `roll` is 0
-            return Face(from_axes((0, 0, 1), (0, -1, 0), (1, 0, 0)), Outline(height, 0.0, 0.0), radius)
+            return Face(from_axes(((0, 0, 1), (0, -1, 0), (1, 0, 0))), Outline(height, 0.0, 0.0), radius)
         return Face(super().face(name, psi).frame, Outline(0.0, 0.0, radius))
 
     def face_order(self, name: str) -> float:

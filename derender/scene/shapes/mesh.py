@@ -19,7 +19,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.registry import Parameter, suggest
-from derender.scene.pose import from_quaternion
+from derender.scene.pose import from_axes, from_quaternion
 from derender.scene.shapes.base import FACE_NAMES, NONE, SIDES, Options, Psi, Shape, mesh_of, shapes
 from derender.scene.shapes.kinds import ROTATIONS, box_mesh
 
@@ -115,9 +115,7 @@ def upright(box_from_file: np.ndarray) -> np.ndarray:
     The fit orders the box's axes by length; people who wrote the file meant its own z to be up.
     """
     traces = np.einsum("kij,ji->k", ROTATIONS, box_from_file[:3, :3])
-    turn = np.eye(4)
-    turn[:3, :3] = ROTATIONS[int(np.argmax(traces))]
-    return turn @ box_from_file
+    return from_axes(ROTATIONS[int(np.argmax(traces))].T) @ box_from_file
 
 
 class Scaled(Shape):

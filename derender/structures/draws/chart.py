@@ -26,6 +26,7 @@ from derender.detection.solids.interpenetration import gap_between, highest, low
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import TOUCHING, flat_top, shadows_overlap
+from derender.scene.pose import upright_frame
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 KIND, VERTICAL, PARENT, HELD, EQUAL, ALONE = range(6)  # columns of Chart.flags
@@ -67,10 +68,7 @@ class Chart(NamedTuple):
 
 def levelled(rotation: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) nearest to one, to first order, whose z axis is exactly up or down."""
-    up = np.array([0.0, 0.0, np.copysign(1.0, rotation[2, 2])])
-    along = rotation[:, 0] - rotation[2, 0] * np.array([0.0, 0.0, 1.0])
-    along /= np.linalg.norm(along)
-    return np.column_stack([along, np.cross(up, along), up])
+    return upright_frame(np.array([0.0, 0.0, np.copysign(1.0, rotation[2, 2])]), rotation[:, 0])[:3, :3]
 
 
 def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Chart, np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.graph import pose_of, scene_graph, turns_freely, vertex_of
+from derender.detection.solids.graph import scene_graph, turns_freely, vertex_of
 from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE
 from derender.detection.solids.state import State
@@ -21,6 +21,7 @@ from derender.results.posterior import StructurePosterior
 from derender.sampling.chains import Plan, run_chains
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
+from derender.scene.pose import from_axes
 from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.structures.given import part_of, part_of_one
 from derender.structures.known.identities import Placed, Placement, identity_probabilities, state_of
@@ -142,9 +143,7 @@ def graph_of(placed: list[Placed], parents: list[int], floor_pose: np.ndarray, n
 
 def pose_of_known(row: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4) of a known object; a mesh keeps its own axes, whatever its proxy."""
-    pose = pose_of(row)
-    pose[:3, :3] = rotation_of(row)
-    return pose
+    return from_axes(rotation_of(row).T, row[10:13])
 
 
 def part_of_known(
