@@ -113,8 +113,7 @@ def candidates(graph: SceneGraph) -> list[tuple[np.ndarray, float, float, float]
     poses = graph.poses()
     middle = np.mean([poses[vertex.name][:3, 3] for vertex in graph.vertices if vertex.body.size() is not None], axis=0)
     planes = [vertex.name for vertex in graph.vertices if vertex.body.size() is None]
-    up = poses[planes[0]][:3, 2] if planes else -np.asarray(graph.gravity, float)
-    up = up / np.linalg.norm(up)
+    up = poses[planes[0]][:3, 2] if planes else -graph.down()
     distance = float(np.linalg.norm(middle))
     toward = -middle / distance
     own = float(np.arcsin(np.clip(toward @ up, -1.0, 1.0)))
