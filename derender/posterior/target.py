@@ -62,17 +62,8 @@ def block_name(address: str) -> str:
 
 def period_of(graph: SceneGraph, address: str, distribution: Distribution) -> float | None:
     """Return the period of an angle whose prior goes all the way round, else None: then it lives on an interval."""
-    if distribution.size != 1 or distribution.discrete:
-        return None
-    name, _, rest = address.partition(".")
-    if name == "root":
-        period = math.tau if rest in ("azimuth", "roll") else None
-    elif rest.startswith("contact."):
-        wanted = rest.removeprefix("contact.")
-        period = next((p.period for p in graph.contact_parameters(name) if p.name == wanted), None)
-    else:
-        period = None
-    if period is None:
+    period = math.tau if address in ("root.azimuth", "root.roll") else graph.period(address)
+    if period is None or distribution.size != 1 or distribution.discrete:
         return None
     low, high = distribution.support
     return period if abs(low) < 1e-9 and abs(high - period) < 1e-9 else None
@@ -102,8 +93,7 @@ def bases_of(graph: SceneGraph, relocations: Sequence[str], unknown: set[str]) -
 
 def theta_fold(graph: SceneGraph, unknown: Unknown) -> tuple[float, float]:
     """Return (centre, period) by which an unknown theta is folded: into its prior's support where it is an interval."""
-    parameters = graph.contact_parameters(unknown.address.partition(".")[0])
-    period = next(p.period for p in parameters if p.name == "theta") or math.tau
+    period = graph.period(unknown.address) or math.tau
     low, high = unknown.distribution.support
     centre = 0.5 * (low + high) if math.isfinite(low) and math.isfinite(high) else 0.5 * period
     return centre, period

@@ -59,7 +59,7 @@ class StructurePosterior:
     log_prior: np.ndarray  # (chains, draws) float64
     log_likelihood: np.ndarray  # (chains, draws) float64
     weight: float = 1.0  # posterior probability of the structure
-    periods: tuple[float | None, ...] = ()  # (P,) of angles, None of other numbers; left out: none is an angle
+    periods: tuple[float | None, ...] = ()  # (P,) of angles, None of other numbers; left out: as the graph has them
     root_pose: np.ndarray | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
     weight_error: float = 0.0  # its standard error
@@ -67,7 +67,7 @@ class StructurePosterior:
 
     def __post_init__(self) -> None:
         if not self.periods:
-            object.__setattr__(self, "periods", (None,) * len(self.addresses))
+            object.__setattr__(self, "periods", tuple(map(self.graph.period, self.addresses)))
 
     def __repr__(self) -> str:
         chains, draws, size = self.values.shape
@@ -113,6 +113,11 @@ class StructurePosterior:
     def at(self, place: Any) -> "StructurePosterior":
         """Return the part with some draws alone. place : what takes them from arrays (chains, draws, ...)."""
         return replace(self, **{name: array[place] for name, array in self.arrays.items()})
+
+    def only(self, kept: Sequence[int]) -> "StructurePosterior":
+        """Return the part with some of its numbers as unknowns alone, by their places."""
+        addresses = tuple(self.addresses[k] for k in kept)
+        return replace(self, addresses=addresses, values=self.values[..., kept], periods=())
 
     def scaled(self, share: float, error: float = 0.0) -> "StructurePosterior":
         """Return the same draws with a share of the weight. error : standard error of the share."""

@@ -304,6 +304,11 @@ class SceneGraph:
         contact, parent = vertex.contact, self.body(vertex.parent).shape
         return contacts[contact.type].parameters(parent, shapes[vertex.shape], contact.parent_face, contact.child_face)
 
+    def period(self, address: str) -> float | None:
+        """Return the period of the number at an address, None of one that is no angle of a contact."""
+        name, _, key = address.partition(".contact.")
+        return next((p.period for p in self.contact_parameters(name) if p.name == key), None) if key else None
+
     def numbers(self) -> dict[str, float]:
         """Return every number that the graph gives, by address: `red.side`, `red.contact.theta`."""
         found = {}

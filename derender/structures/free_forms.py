@@ -85,13 +85,7 @@ def with_rivals(
 def without_object(part: "StructurePosterior", name: str) -> "StructurePosterior":
     """Return a StructurePosterior without an object on which nothing stands, and its numbers."""
     kept = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] != name]
-    return replace(
-        part,
-        graph=part.graph.remove(name),
-        addresses=tuple(part.addresses[k] for k in kept),
-        values=part.values[..., kept],
-        periods=tuple(part.periods[k] for k in kept),
-    )
+    return replace(part.only(kept), graph=part.graph.remove(name))
 
 
 def with_solid(part: "StructurePosterior", state: State, names: list[str]) -> "StructurePosterior":
@@ -131,7 +125,7 @@ def _with_all(
     rng: np.random.Generator, part: "StructurePosterior", names: list[str], made: list[Made], whole: float
 ) -> "StructurePosterior":
     """Return a StructurePosterior with things. whole : probability that nothing of an extent is hidden."""
-    graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
+    graph, addresses, values = part.graph, list(part.addresses), [part.values]
     chains, draws, _ = part.values.shape
     for name, thing, surface, size, centre, hidden, noise in made:
         row = thing.row.copy()
@@ -157,9 +151,7 @@ def _with_all(
             drawn[part.best_place] = value
             addresses.append(f"{name}.{key}")
             values.append(drawn)
-            periods.append(None)
-    return replace(part, graph=graph, addresses=tuple(addresses), values=np.concatenate(values, axis=2),
-                   periods=tuple(periods))  # fmt: skip
+    return replace(part, graph=graph, addresses=tuple(addresses), values=np.concatenate(values, axis=2), periods=())
 
 
 MOST_VERTICES = 700  # of what is seen; a surface of more pixels is sampled

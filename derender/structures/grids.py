@@ -26,7 +26,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.pyramid import spread_of
 from derender.detection.solids.beliefs import Beliefs, box_log_density
-from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, periods_of, without
+from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, without
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import Contact, SceneGraph, Vertex, nearest_contact
@@ -360,16 +360,15 @@ def as_grid(part: StructurePosterior, boxes: Sequence[str], grid: Grid) -> Struc
     graph = with_cartons(part.graph, part.best()[0], boxes, grid)
     every = max(1, part.log_density.shape[1] // DRAWS)
     part = part.at((slice(None), slice(None, None, every)))
-    others = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] not in boxes]
+    rest = part.only([k for k, address in enumerate(part.addresses) if address.partition(".")[0] not in boxes])
     own_addresses = [address for address in graph.numbers() if address.partition(".")[0] not in part.graph.names]
     drawn = np.empty((*part.log_density.shape, len(own_addresses)))
     for place in np.ndindex(part.log_density.shape):
         scene = part.graph_at(*place)
         numbers = with_cartons(scene, scene, boxes, grid).numbers()
         drawn[place] = [numbers[address] for address in own_addresses]
-    addresses = (*(part.addresses[k] for k in others), *own_addresses)
-    return replace(part, graph=graph, addresses=addresses, periods=periods_of(graph, addresses),
-                   values=np.concatenate([part.values[..., others], drawn], axis=2))  # fmt: skip
+    return replace(rest, graph=graph, addresses=(*rest.addresses, *own_addresses), periods=(),
+                   values=np.concatenate([rest.values, drawn], axis=2))  # fmt: skip
 
 
 def with_cartons(graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], grid: Grid) -> SceneGraph:

@@ -108,8 +108,8 @@ def multiplied(part: StructurePosterior, other: StructurePosterior, weight: floa
     second = second.at((slice(None), order))
     hanging = [vertex.name for vertex in second.graph.vertices if vertex.parent == ROOT]
     numbers = hung_anew(first, second, hanging)
-    kept = [k for k, address in enumerate(second.addresses)
-            if not address.startswith(tuple(f"{name}.contact." for name in hanging))]  # fmt: skip
+    second = second.only([k for k, address in enumerate(second.addresses)
+                          if not address.startswith(tuple(f"{name}.contact." for name in hanging))])  # fmt: skip
     hung = [Contact("6dof", values=dict(zip(POSE, map(float, pose), strict=True))) for pose in numbers[:, ends[0]]]
     graph = second.graph
     for name, contact in zip(hanging, hung, strict=True):
@@ -117,10 +117,9 @@ def multiplied(part: StructurePosterior, other: StructurePosterior, weight: floa
     both = replace(
         first,
         graph=first.graph.add(*graph.vertices),
-        addresses=(*first.addresses, *(second.addresses[k] for k in kept),
-                   *(f"{name}.contact.{key}" for name in hanging for key in POSE)),
-        values=np.concatenate([first.values, second.values[..., kept], *numbers[:, None]], axis=2),
-        periods=(*first.periods, *(second.periods[k] for k in kept), *(None,) * (len(hanging) * len(POSE))),
+        addresses=(*first.addresses, *second.addresses, *(f"{name}.contact.{key}" for name in hanging for key in POSE)),
+        values=np.concatenate([first.values, second.values, *numbers[:, None]], axis=2),
+        periods=(),
         log_prior=first.log_prior + second.log_prior,
         log_likelihood=first.log_likelihood + second.log_likelihood,
         weight=weight,

@@ -154,7 +154,7 @@ def test_numbers_of_draws_place_the_graph_where_the_chart_does():
     draws = values + 0.003 * rng.standard_normal((5, len(values)))
     names = ["cube", "box", "can", "ball"]
     graph = scene_graph(state, floor_pose(), names)
-    addresses, numbers, _, root = numbers_of_draws(chart, draws, graph, names)
+    addresses, numbers, root = numbers_of_draws(chart, draws, graph, names)
     for n, draw in enumerate(draws):
         placed = replace(graph, root_pose=root[n]).with_numbers(dict(zip(addresses, numbers[n], strict=True)))
         rows = rows_at(chart, draw)

@@ -171,17 +171,6 @@ def turns_freely(vertex: Vertex) -> bool:
     return face is not None and math.isinf(vertex.body.shape.face_order(face))
 
 
-def periods_of(graph, addresses):
-    """Return the period of each of a graph's numbers by address, None for those that are no angles."""
-    found = []
-    for address in addresses:
-        name, _, rest = address.partition(".")
-        key = rest.removeprefix("contact.")
-        parameters = graph.contact_parameters(name) if key != rest and not key.startswith("q") else ()
-        found.append(next((p.period for p in parameters if p.name == key), None))
-    return tuple(found)
-
-
 def without_floor(part: "StructurePosterior") -> "StructurePosterior":
     """Return a StructurePosterior without the floor that never was: what is left floats under the root."""
     if FLOOR_NAME not in part.graph.names or part.graph.children(FLOOR_NAME):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image
-from derender.detection.solids.graph import periods_of, turns_freely
+from derender.detection.solids.graph import turns_freely
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -55,7 +55,7 @@ def contact_numbers(
 
 
 def numbers_of_draws(chart, draws, graph, names):
-    """Return (addresses, values (n, P), periods (P,), root poses (n, 4, 4)) of draws (n, D) of the graph's structure.
+    """Return (addresses, values (n, P), root poses (n, 4, 4)) of draws (n, D) of the graph's structure.
 
     names : of the solids in the chart's order. Numbers that the graph's contacts leave out (slack) are left out, and
         how a cylinder that stands or a sphere is turned about itself: nothing tells.
@@ -81,7 +81,7 @@ def numbers_of_draws(chart, draws, graph, names):
                 found[f"{name}.contact.{parameter.name}"] = phi[:, k, slot]
     addresses = tuple(a for a in graph.numbers() if a in found)
     values = np.stack([found[a] for a in addresses], axis=1) if addresses else np.empty((len(draws), 0))
-    return addresses, values, periods_of(graph, addresses), root
+    return addresses, values, root
 
 
 def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:

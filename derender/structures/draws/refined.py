@@ -316,12 +316,12 @@ def structure_posterior(
         refined.state, chart, true_faces(None, chart, refined.values[None])[0], refined.sensor, 0, 0
     ).state
     graph = scene_graph(state, floor_pose_of(refined), names, chart.floating)
-    addresses, numbers, periods, root = numbers_of_draws(chart, values.reshape(-1, size), graph, names)
+    addresses, numbers, root = numbers_of_draws(chart, values.reshape(-1, size), graph, names)
     shape = values.shape[:2]
     return StructurePosterior(
-        graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight, periods,
-        root.reshape(*shape, 4, 4),
-        {"accepted": [chain.accepted for chain in chains],
+        graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight,
+        root_pose=root.reshape(*shape, 4, 4),
+        extras={"accepted": [chain.accepted for chain in chains],
          "likelihood": refined.sensor.to_data(),
          **({"into": [view.into.tolist() for view in refined.sensor.others]} if refined.sensor.others else {})},
     )  # fmt: skip
