@@ -65,9 +65,10 @@ class LikelihoodPrior:
         """A number for each parameter given: where it is open, its prior's mean."""
         return {name: value if isinstance(value, int | float) else value.mean() for name, value in self.values.items()}
 
-    def free_addresses(self) -> dict[str, Distribution]:
-        """Return the distributions by address ("likelihood.sigma")."""
-        return {f"likelihood.{name}": value for name, value in self.values.items() if isinstance(value, Distribution)}
+    @property
+    def free(self) -> dict[str, Distribution]:
+        """The distributions of the parameters that are open."""
+        return {name: value for name, value in self.values.items() if isinstance(value, Distribution)}
 
     def with_values(self, values: Mapping[str, float]) -> "LikelihoodPrior":
         """Return the same likelihood with these numbers in place."""

@@ -159,9 +159,8 @@ class MapProblem:
         least = [-math.inf if ".contact." in unknown.address else SMALLEST for unknown, _ in moving]
         lower, upper = np.maximum(np.array(supports)[:, 0], least), np.array(supports)[:, 1]
         self.domain = Domain(lower, upper, np.array([unknown.period or 0.0 for unknown, _ in moving]))
-        numbers = {key.removeprefix("likelihood."): value for key, value in target.by_address(values).items()}
         images = target.images
-        numbers, observed = {**images.values, **numbers}, images.observed
+        numbers, observed = {**images.values, **target.of_likelihood(values)}, images.observed
         seen, sigma = np.isfinite(observed) & (observed > 0), numbers.get("sigma", 0.005)
         self._constant = -float(np.sum(seen)) * (math.log(sigma) + 0.5 * math.log(2 * math.pi))
         limit = math.inf if images.type == "gaussian" else ROBUST

@@ -15,11 +15,8 @@ def short_of_noise(rng: np.random.Generator, target: SceneTarget, values: np.nda
 
     Where either has no return neither counts: how much of an image returned says nothing of the scene.
     """
-    named = target.by_address(values)
-    numbers = {**target.images.values, **{address.removeprefix("likelihood."): value
-               for address, value in named.items() if address.startswith("likelihood.")}}  # fmt: skip
     kind, camera = likelihoods[target.images.type], target.images.camera
-    numbers = kind.complete(numbers)
+    numbers = kind.complete({**target.images.values, **target.of_likelihood(values)})
     clean, _ = render_depth(target.graph(values).solids(), camera, background=numbers["background"])
 
     def densities(image: np.ndarray) -> np.ndarray:

@@ -237,14 +237,14 @@ class SceneTarget:
             log_prior += total_log_density(self.constraints, self.graph(values))
         return log_prior
 
+    def of_likelihood(self, values: np.ndarray) -> dict[str, float]:
+        """Return the likelihood's unknowns by name."""
+        told = self.by_address(values)
+        return {a.removeprefix("likelihood."): x for a, x in told.items() if a.startswith("likelihood.")}
+
     def log_likelihood(self, values: np.ndarray) -> float:
         """Return the log likelihood of values inside the prior's support."""
-        parameters = {
-            address.removeprefix("likelihood."): value
-            for address, value in self.by_address(values).items()
-            if address.startswith("likelihood.")
-        }
-        return self.images.log_likelihood(self.graph(values), parameters)
+        return self.images.log_likelihood(self.graph(values), self.of_likelihood(values))
 
 
 def default_parts() -> list[dict[str, Mapping[str, Any]]]:

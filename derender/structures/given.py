@@ -245,10 +245,8 @@ class Result(NamedTuple):
 
 def observed_image(image: np.ndarray, camera: Camera, likelihood: LikelihoodPrior) -> ObservedImage:
     """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means."""
-    fixed = likelihood.fixed
-    free = {a.removeprefix("likelihood."): law.mean() for a, law in likelihood.free_addresses().items()}
-    likelihoods[likelihood.type].complete({**fixed, **free})
-    return ObservedImage(camera, image, likelihood.type, {**fixed, **free})
+    likelihoods[likelihood.type].complete(likelihood.means)
+    return ObservedImage(camera, image, likelihood.type, likelihood.means)
 
 
 def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) -> list[tuple[SceneTarget, float]]:
@@ -260,7 +258,6 @@ def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) ->
     """
     likelihood = document.likelihood or LikelihoodPrior()
     images = observed_image(image, camera, likelihood)
-    unknown = {a.removeprefix("likelihood."): law for a, law in likelihood.free_addresses().items()}
     prior = cast(TreePrior, document.prior)
     found = structures(prior, np.random.default_rng([seed, 1]))
     shared: dict[tuple, tuple[SceneGraph, list[float]]] = {}
@@ -276,7 +273,7 @@ def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) ->
     if len(shared) > MOST_STRUCTURES:
         what = f"the prior leaves more than {MOST_STRUCTURES} combinations of parents and faces open"
         raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
-    return [(SceneTarget(prior, graph, images, unknown), float(np.logaddexp.reduce(densities)))
+    return [(SceneTarget(prior, graph, images, likelihood.free), float(np.logaddexp.reduce(densities)))
             for graph, densities in shared.values()]  # fmt: skip
 
 

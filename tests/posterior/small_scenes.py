@@ -108,7 +108,7 @@ class SceneWorld:
     def __init__(self, text: str) -> None:
         self.document = read(text)
         self.likelihood = self.document.likelihood
-        self.unknown = {a.removeprefix("likelihood."): d for a, d in self.likelihood.free_addresses().items()}
+        self.unknown = self.likelihood.free
         self.template = self.document.prior.sample(np.random.default_rng(0))
         blank = np.zeros((self.document.camera.height, self.document.camera.width))
         self.blank = self._target(blank)

@@ -18,7 +18,6 @@ from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.correlated import independent_share, innovations, shown_share
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import Chart, placed
 
@@ -152,7 +151,7 @@ def shown(observed: np.ndarray) -> np.ndarray:
 
 def held_by(prior: LikelihoodPrior | None) -> dict[str, float]:
     """Return {name: value} of a sensor's numbers that a prior gives as numbers: they are known, and not fitted."""
-    return {} if prior is None else {k: v for k, v in prior.values.items() if not isinstance(v, Distribution)}
+    return {} if prior is None else prior.fixed
 
 
 def first_sensor(
@@ -197,8 +196,8 @@ def under_shared_noise(sensor: Sensor, clean: np.ndarray, rounds: int | None) ->
     with 0 surfaces go on otherwise by as much as they are seen to, and None leaves all that as it is. Noise and
     outliers are sought then: of pixels that go on, how far they are off the surface tells nothing of either.
     """
-    given, held = sensor.prior.values, held_by(sensor.prior)
-    begin = {name: value.quantile(0.5) for name, value in given.items() if name not in held}
+    held = held_by(sensor.prior)
+    begin = {name: value.quantile(0.5) for name, value in sensor.prior.free.items()}
     begin = sensor._replace(values={**begin, **sensor.values, **held}).changed("correlated").values
     if rounds is not None:
         step, growth = noise_of(innovations(sensor.returned, begin), clean)

@@ -240,14 +240,12 @@ def _likelihood_of(document: Document, seen: "Observation", depth: np.ndarray) -
     """Return the likelihood's name and numbers: the document's, else one with the noise seen on the floor, which
     neighbouring pixels share where the image shows that they do."""
     if document.likelihood is not None:
-        given = document.likelihood.values
-        return document.likelihood.type, {k: v if isinstance(v, float) else float(v.mean()) for k, v in given.items()}
+        return document.likelihood.type, document.likelihood.means
     sigma = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.002
     seen_on_floor = {"sigma": max(sigma, 0.0005), "blur": 0.5, "outlier": 0.05}
     if seen.correlation > CORRELATED:
-        believed = any_sensor().values
-        usual = {k: v if isinstance(v, float) else float(v.quantile(0.5)) for k, v in believed.items()}
-        return "correlated", {**usual, "sigma_growth": 0.0, **seen_on_floor}
+        usual = {name: law.quantile(0.5) for name, law in any_sensor().free.items()}
+        return "correlated", {**any_sensor().fixed, **usual, "sigma_growth": 0.0, **seen_on_floor}
     missing = float(np.mean(~np.isfinite(depth)))
     return "robust", {
         **seen_on_floor,
