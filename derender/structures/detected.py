@@ -232,8 +232,8 @@ def root_of(target: SceneTarget, laws: dict[str, Distribution], seen: SceneGraph
     above = float(own[:3, 2] @ own[:3, 3])
     pose[2, 3] = (up @ floor[:3, 3] - above) / (up[2] if abs(up[2]) > WITHIN else -WITHIN)
     values = target.root_prior.values(pose)
-    return target.root_prior.pose({address: within(law, values[address])[0] if law.size == 1 else values[address]
-                                   for address, law in free.items()})  # fmt: skip
+    return target.root_prior.pose({a: within(law.support, values[a])[0] if law.size == 1 else values[a]
+                                   for a, law in free.items()})  # fmt: skip
 
 
 def grow(scene: Scene, placed: Placed, vertex: Vertex, solids: list[Solid]) -> Iterator[Placed]:
@@ -269,7 +269,7 @@ def at_solid(
     for parameter, value in zip(vertex.body.shape.parameters, wanted, strict=True):
         law = laws.get(f"{vertex.name}.{parameter.name}")
         if law is not None:
-            numbers[parameter.name] = within(law, float(value))[0]
+            numbers[parameter.name] = within(law.support, float(value))[0]
     made = replace(vertex, parameters=numbers)
     off = float(np.linalg.norm(made.body.size() - size))
     contact, reach = vertex.contact, 0.5 * float(np.linalg.norm(size))
@@ -288,14 +288,14 @@ def at_solid(
         elif law.size == 1:
             centre, period = target.folds.get(address, (0.0, math.inf))
             folded = value if math.isinf(period) else centre + (value - centre + period / 2) % period - period / 2
-            values[name], beyond = within(law, folded)
+            values[name], beyond = within(law.support, folded)
             off += scale * beyond
     return replace(made, contact=replace(contact, values=values)), off
 
 
-def within(law: Distribution, value: float) -> tuple[float, float]:
-    """Return the number nearest to a value that a distribution can have, and how far it is off."""
-    low, high = law.support
+def within(support: tuple[float, float], value: float) -> tuple[float, float]:
+    """Return the number nearest to a value that a distribution with this support can have, and how far it is off."""
+    low, high = support
     margin = WITHIN * (high - low) if math.isfinite(high - low) else WITHIN
     inside = min(max(value, low + margin), high - margin)
     return inside, abs(value - inside)

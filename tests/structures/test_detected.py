@@ -138,6 +138,6 @@ def test_a_solid_grows_away_from_the_face_that_stays(tmp_path):
 def test_a_number_outside_is_put_within_by_as_little_as_can_be(tmp_path):
     target, *_ = made(tmp_path, KNOWN_ROOT, 0)
     law = next(u.distribution for u in target.space.unknowns if u.address == "yellow.radius")
-    assert within(law, 0.03) == (0.03, 0.0)
-    inside, beyond = within(law, 0.07)
+    assert within(law.support, 0.03) == (0.03, 0.0)
+    inside, beyond = within(law.support, 0.07)
     assert law.log_density(inside) > -math.inf and beyond == pytest.approx(0.02, abs=1e-6)

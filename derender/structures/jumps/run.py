@@ -34,6 +34,7 @@ from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, written
 from derender.scene.shapes import shapes
 from derender.scene.shapes.kinds import ROTATIONS
+from derender.structures.detected import within
 from derender.structures.given import part_at
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
 from derender.structures.jumps.proposal import About, Hypothesis, HypothesisProposal, vertex_of
@@ -52,11 +53,7 @@ def root_pose_near(root: FixedRoot, floor_pose: np.ndarray) -> np.ndarray:
     """Return the pose that a root's prior allows nearest to one at which the floor was seen (its z up)."""
     if isinstance(root, LookedAtRoot):
         seen = _looked_at(floor_pose)
-        values = {}
-        for address, law in root.free_addresses().items():
-            low, high = law.support
-            values[address] = min(max(seen[address], low + 1e-9), high - 1e-9)
-        return root.pose(values)
+        return root.pose({a: within(law.support, seen[a])[0] for a, law in root.free_addresses().items()})
     return np.asarray(floor_pose, float) if isinstance(root, FreeRoot) else root.pose({})
 
 
@@ -139,20 +136,12 @@ def _placed(words: Vocabulary, graph: SceneGraph, component: "Component") -> Sce
     for share in (1.0, 0.99, 0.97, 0.94):
         values = {key: share * x if key.startswith("shape.") and key in component.spreads else x
                   for key, x in component.centres.items()}  # fmt: skip
-        values = {key: _inside(x, component.spreads.get(key)) for key, x in values.items()}
+        values |= {key: within(about.support, values[key])[0]
+                   for key, about in component.spreads.items() if isinstance(about, About)}  # fmt: skip
         added = graph.add(vertex_of(words, graph, component, values))
         if total_log_density(words.prior.constraints, added) > -math.inf:
             return added
     return None
-
-
-def _inside(x: float, spread: Any) -> float:
-    """Return a number moved inside its prior's support."""
-    if not isinstance(spread, About):
-        return x
-    low, high = spread.support
-    margin = 1e-6 * (high - low) if math.isfinite(high - low) else 0.0
-    return min(max(x, low + margin), high - margin)
 
 
 DEFAULT_PRIOR = "bare-image"  # of images that come without one
