@@ -19,8 +19,8 @@ from derender.render.raycast.depth import render_depth
 from derender.report.pictures import write_view
 from derender.report.result_folder import write_results
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.scene.graph import Vertex
-from derender.scene.pose import from_rotation_vector, translation
+from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
+from derender.scene.pose import from_rotation_vector, inverse, translation
 
 CAMERA = Camera(72, 72, 39.5, 29.5, 80, 60)
 LIKELIHOOD = {"type": "gaussian", "sigma": 0.001, "blur": 0.5, "background": 10.0}
@@ -94,6 +94,16 @@ def test_all_candidates_look_at_the_scene_from_above_the_floor():
         height = (pose[:3, 3] - graph.root_pose[:3, 3]) @ graph.root_pose[:3, 2]
         assert height > 0.1 and elevation > 0.2 and moved == pytest.approx(np.linalg.norm(pose[:3, 3]))
     assert min(moved for *_, moved in candidates(graph)) < 0.1
+
+
+def test_without_a_floor_cameras_are_as_high_against_gravity_as_over_one():
+    graph = scene()
+    contact = floating(inverse(graph.root_pose) @ graph.poses()["box"])
+    hung = replace(graph.vertex("box"), parent=ROOT, contact=contact)
+    alone = candidates(SceneGraph(graph.root_pose, (hung,), graph.gravity))
+    for (pose, *told), (expected, *wanted) in zip(alone, candidates(graph), strict=True):
+        np.testing.assert_allclose(pose, expected, atol=1e-9)
+        assert told == pytest.approx(wanted)
 
 
 @pytest.mark.slow
