@@ -136,6 +136,13 @@ class Impacts:
         it before a blow, too, is held to it."""
         return plane_under(self.bodies[k], self.floors, self.filled[max(frame - 1, 0) :, k])
 
+    def _flies(self, frame: int, k: int) -> bool:
+        """Return whether body k touches nothing in a frame."""
+        body, names = self.bodies[k]._replace(pose=to_poses(self.filled[frame, k])), self.motion.names
+        gaps = [body.gap(other) for other in self.motion.matter.bodies if other.name not in names]
+        gaps += [self._gap(frame, k, j) for j in range(self.count) if j != k]
+        return min(gaps, default=np.inf) > STRUCK_WITHIN
+
     def _filled(self) -> np.ndarray:
         """Return tracked states (T, N, 13) at rest, interpolated where a body was not seen."""
         times = self.motion.times
@@ -152,9 +159,10 @@ class Impacts:
     def first_speed(self, states: np.ndarray, frame: int, k: int) -> np.ndarray:
         """Return velocity and angular velocity (6,) of body k at a cut, from the frames that follow.
 
-        What flies falls as gravity says, and two frames tell its speed; where that does not explain them, a parabola
-        does: a mean over frames would tell a slide's first speed too low, and so its friction. The frame before the
-        next cut may be after the impact already: it is left out where there are others.
+        What flies falls as gravity says, and two frames tell its speed: of the frames so many count as that explains.
+        Where it explains too few, a parabola does: a mean over frames would tell a slide's first speed too low, and so
+        its friction. The frame before the next cut may be after the impact already: it is left out where there are
+        others.
         """
         later = np.flatnonzero(self.is_cut[frame + 1 :, k])
         count = min(FITTED, len(states) - frame)
@@ -165,8 +173,11 @@ class Impacts:
         time = self.motion.step * np.arange(count)
         way = difference(states[frame, k], states[frame : frame + count, k])[:, :6]
         fall = 0.5 * np.outer(time**2, np.concatenate([self.gravity, np.zeros(3)]))
-        speed = time @ (way - fall) / (time @ time)
         error = np.sqrt(np.diagonal(self.spread[frame : frame + count, k], axis1=1, axis2=2)[:, :3].mean())
-        if count == 2 or np.sum((way - fall - np.outer(time, speed))[:, :3] ** 2) < FLIES * error**2:
-            return speed
+        least = 2 if count == 2 or self._flies(frame, k) else 3
+        for flown in range(count, least - 1, -1):  # the last of them may be after an impact that is no cut
+            speed = time[:flown] @ (way - fall)[:flown] / (time[:flown] @ time[:flown])
+            off = (way - fall - np.outer(time, speed))[:flown, :3]
+            if flown == 2 or np.sum(off**2) < FLIES * error**2:
+                return speed
         return np.linalg.lstsq(np.stack([time, time**2], axis=1), way, rcond=None)[0][0]

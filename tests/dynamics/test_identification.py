@@ -43,16 +43,16 @@ def slide(friction, speed, rng, **more):
     return motion(body, np.column_stack([x, 0 * x, 0 * x + 0.025]), rng, **more)
 
 
-def bounce(restitution, rng, radius=0.035, height=0.3):
+def bounce(restitution, rng, radius=0.035, height=0.3, frames=FRAMES):
     """Return a ball that is let go, and leaves after each bounce with a share of the speed with which it came."""
     speed = np.sqrt(2 * GRAVITY * (height - radius))
     begin, heights = -speed / GRAVITY, []
-    for time in STEP * np.arange(FRAMES):
+    for time in STEP * np.arange(frames):
         while time >= begin + 2 * speed / GRAVITY:
             begin, speed = begin + 2 * speed / GRAVITY, restitution * speed
         heights.append(radius + speed * (time - begin) - GRAVITY * (time - begin) ** 2 / 2)
     body = Body("ball", "sphere", np.full(3, 2 * radius), np.eye(4))
-    return motion(body, np.column_stack([np.zeros(FRAMES), np.zeros(FRAMES), heights]), rng, metres=5e-4)
+    return motion(body, np.column_stack([np.zeros(frames), np.zeros(frames), heights]), rng, metres=5e-4)
 
 
 def collision(friction, ratio, restitution, rng, metres=1e-3, gap=0.06):
@@ -257,6 +257,18 @@ def test_a_film_sets_out_with_the_speed_of_its_first_frame_and_not_with_a_mean_o
     shooting = Shooting(film, Parameters(film.names, engine.masses, read_dynamics_prior()), engine)
     speed = shooting.first_path(np.array([np.log(0.3), 0.0, np.log(0.003)])).states[0, 0, 7]
     assert abs(speed - 1.0) < 0.01  # a frame later it is .90
+
+
+def test_a_film_leaves_a_bounce_with_its_speed_there_though_the_next_is_soon():
+    film = bounce(0.6, np.random.default_rng(0), height=0.12, frames=14)
+    shooting = shooting_of(film)
+    path, frame = shooting.first_path(shooting.parameters.middle()), shooting.cuts[-1][0]
+    fast = np.sqrt(2 * GRAVITY * (0.12 - 0.035))  # as it comes down first
+    second = (1 + 2 * 0.6) * fast / GRAVITY  # seconds, when it bounces for the second time
+    third = second + 2 * 0.6**2 * fast / GRAVITY
+    assert second < frame * STEP and (frame + 1) * STEP < third < (frame + 2) * STEP
+    speed = 0.6**2 * fast - GRAVITY * (frame * STEP - second)
+    np.testing.assert_allclose(path.states[frame, 0, 7:10], [0, 0, speed], atol=0.05)
 
 
 def test_what_a_moving_body_comes_near_moves_too_and_what_stands_aside_does_not():
