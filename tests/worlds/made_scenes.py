@@ -218,10 +218,11 @@ def photograph(
     height: int = 120,
     noise: str = "millimetre",
     distance: tuple[float, float] = (0.65, 0.9),
+    elevation: tuple[float, float] = (20.0, 50.0),
 ) -> Any:
-    """Return the scene dict that a camera 20 to 50 degrees up sees."""
+    """Return the scene dict that a camera sees which is so many degrees up."""
     middle = poses[:, :3, 3].mean(axis=0) * [1, 1, 0.8]
-    world = look_at(rng, rng.uniform(*distance), np.radians(rng.uniform(20, 50)), middle)
+    world = look_at(rng, rng.uniform(*distance), np.radians(rng.uniform(*elevation)), middle)
     camera = camera_of(width, height)
     posed = world @ poses
     depth, label = render_floor_scene(kinds, posed, sizes, world, camera)
