@@ -35,6 +35,7 @@ BACKGROUND = 10.0  # metres to the wall behind everything, where the image shows
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: of pixels beyond it, only that nothing stands before that is believed
+NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and hardly anything that it does not explain
 
 
 NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
@@ -144,6 +145,17 @@ def too_far(observed: np.ndarray) -> np.ndarray:
     return observed > FAR_AWAY * np.nanmedian(np.abs(observed))
 
 
+def cut_off(observed: np.ndarray, scene: np.ndarray) -> np.ndarray:
+    """Return an image (H, W) of which what is too far is below zero, as what is no part of the scene.
+
+    What a scene (H, W) explains is as far as that: of a row of pixels at the limit noise would leave the nearer ones,
+    and tilt the floor.
+    """
+    depth = np.where(np.abs(observed - scene) < NEARLY * scene, scene, observed)
+    limit = FAR_AWAY * np.nanmedian(np.abs(observed))
+    return np.where(depth > limit, -limit, observed)
+
+
 def shown(observed: np.ndarray) -> np.ndarray:
     """Return an image (H, W) where it shows the scene, NaN where it shows something else or nothing."""
     return np.where(observed > 0.0, observed, np.nan)
@@ -167,10 +179,10 @@ def first_sensor(
 
     wall : how far away what lies behind everything is seen, see `Observation`; None: it is not.
     """
-    observed = np.where(too_far(observed), -FAR_AWAY * np.nanmedian(np.abs(observed)), observed)
     into = np.eye(4) if into is None else into
     held = {**behind_all(wall), **(NONE if shares_noise(prior) else held_by(prior))}
     clean = model_depth(chart, values, camera, into, held["background"])
+    observed = cut_off(observed, clean)
     fitted = partial(robust_fit, observed, clean, rates=(FIRST_OUTLIERS,), held=held)
     best = max((fitted(blurred) for blurred in BLURS), key=itemgetter(0))
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
