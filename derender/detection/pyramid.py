@@ -202,8 +202,9 @@ SLOPING = 0.004  # share of the depth by which a surface may go on beside all th
 MIXED, JUMP = 1.5, 12.0
 # The widest blur that is undone, in pixels: it more than doubles noise, which a wider one multiplies; pixels from which
 # on one tells less than 3e-6 of that; rounds in which leaks are told by what is smoothed, and in which the blur is told
-# by what leaks still (each leaves a sixth of it).
-MOST_UNMIXED, REACH, SMOOTHED, REFITTED = 0.55, 8, 2, 2
+# by what leaks still (each leaves a sixth of it). Standard deviations of the noise by which a scene is off what it
+# explains at most: of 16,000 pixels one is by noise alone.
+MOST_UNMIXED, REACH, SMOOTHED, REFITTED, FITTING = 0.55, 8, 2, 2, 4.0
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
@@ -412,13 +413,37 @@ def unmixed(depth: np.ndarray, beside: np.ndarray, blurred: float, sigma: float)
     return np.where(there, sharp, np.where(beside, np.nan, depth))
 
 
-def without_leaks(seen: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
-    """Return an image (H, W) less what a blur of so many pixels leaked into each from others; sigma : of its noise."""
-    columns = [blur(column[:, None], blurred) for column in np.eye(2 * REACH + 1)]
-    undone = np.linalg.inv(np.hstack(columns))[REACH, REACH:].copy()
-    sharp, quiet = weighed_along_both(seen, undone), seen
+def unmixed_by(scene: np.ndarray, depth: np.ndarray, blurred: float, noise: np.ndarray) -> np.ndarray:
+    """Return the depth (H, W) less what a blur of so many pixels leaked into each pixel from others as a scene's exact
+    depth (H, W) tells it; where that does not fit what is seen, as the image itself tells it, or NaN where nothing
+    returned or it cannot.
+
+    What it tells has no noise, and jumps that are too small for the image itself to tell are among it.
+
+    noise : (H, W) metres, its standard deviation.
+    """
+    known = np.isfinite(depth) & (depth > 0)
+    fits = ~(known & (np.abs(depth - blur(scene, blurred)) > FITTING * noise))
+    told = known if blurred <= MOST_UNMIXED else known & (blur((~fits).astype(float), blurred) == 0.0)
+    sharp = without_leaks(
+        np.where(known, depth, scene), blurred, float(np.median(noise)), np.where(fits, scene, np.nan)
+    )
+    return np.where(told, sharp, np.nan)
+
+
+def without_leaks(seen: np.ndarray, blurred: float, sigma: float, scene: np.ndarray | None = None) -> np.ndarray:
+    """Return an image (H, W) less what a blur of so many pixels leaked into each from others; sigma : of its noise.
+
+    scene : (H, W) exact depths, NaN where they are not known; None: nowhere.
+    """
+    sharp = quiet = seen
+    if blurred <= MOST_UNMIXED:
+        columns = [blur(column[:, None], blurred) for column in np.eye(2 * REACH + 1)]
+        sharp = weighed_along_both(seen, np.linalg.inv(np.hstack(columns))[REACH, REACH:].copy())
     for _ in range(SMOOTHED):
         smooth = smoothed(sharp, quiet, sigma)
+        if scene is not None:
+            smooth = np.where(np.isfinite(scene), scene, smooth)
         sharp = quiet = seen - (blur(smooth, blurred) - smooth)
     return sharp
 

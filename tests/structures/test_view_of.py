@@ -54,7 +54,7 @@ def observation(correlation):
     single[3, 3] = single[20, 12] = np.nan
     return SimpleNamespace(
         factor=1, single=single, single_camera=CAMERA, bend=None, correlation=correlation, things=(), behind=behind,
-        wall=None,
+        wall=None, whole=None,
         image=image, floor=SimpleNamespace(pose=POSE, inliers=inliers), sigma=np.full(depth.shape, NOISE),
     )  # fmt: skip
 

@@ -44,7 +44,16 @@ from derender.detection.floors import (
     tolerance_of,
 )
 from derender.detection.patches import Patches, SeenSurface, find_patches
-from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
+from derender.detection.pyramid import (
+    blurred_jumps,
+    estimate_blur,
+    reduce,
+    reduced_by,
+    reduced_camera,
+    sampled,
+    single_pixels,
+    unmixed,
+)
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.scene.priors.bare_image import Floors
@@ -110,6 +119,9 @@ class Observation(NamedTuple):
     agreed: bool = True  # whether two searches found the same
     wall: float | None = None  # metres to the one depth that lies behind everything, Eq. 6; None: none is seen
     rivals: tuple = ()  # planes that may be the floor instead, each a Rival, the likeliest first
+    # (H, W) metres, and its camera: the image of independent noise as it came, where `single` is a part of its pixels
+    whole: np.ndarray | None = None
+    whole_camera: dict | None = None
 
     @property
     def scale(self) -> float:
@@ -191,9 +203,11 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     if seen.correlation <= CORRELATED and factor == 2 and reduced_by(whole, MOST_DRAWN) == 1:
         whole, camera, _ = reduce(whole, whole_camera, whole.shape[1])
         return seen._replace(single=whole, single_camera=camera)
-    # what a real sensor shows at its edges is no mixture by a blur alone
-    whole = np.where(beside, np.nan, whole) if seen.correlation > CORRELATED else unmixed(whole, beside, blurred, sigma)
-    return seen._replace(single=single_pixels(whole, factor))
+    if seen.correlation > CORRELATED:  # what a real sensor shows at its edges is no mixture by a blur alone
+        return seen._replace(single=single_pixels(np.where(beside, np.nan, whole), factor))
+    single = single_pixels(unmixed(whole, beside, blurred, sigma), factor)
+    return seen._replace(single=single, whole=whole if factor > 1 else None,
+                         whole_camera=reduced_camera(whole_camera, 1, whole.shape))  # fmt: skip
 
 
 def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity: Any, rounding: float,

@@ -10,7 +10,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.detection.calibration import likeliest
-from derender.detection.pyramid import LEAST_SIGMA, MOST_SIGMA, noise_of
+from derender.detection.pyramid import LEAST_SIGMA, MOST_SIGMA, noise_of, single_pixels, unmixed_by
 from derender.detection.solids.beliefs import SHARED, log_prior_of
 from derender.document import LikelihoodPrior
 from derender.render.blur import blur
@@ -30,6 +30,7 @@ STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and h
 APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
 RULES_OUT = 15.0  # nats by which a blur explains less, solids held: where they give way the blur is more open
 MOST_BLUR = 5.0  # pixels, as a likelihood allows them
+TOLD_BY = 320  # columns, at least, by which the blur of a whole image is sought: 640 tell it no better
 LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
 BACKGROUND = 10.0  # metres to the wall behind everything, where the image shows none
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
@@ -331,6 +332,40 @@ def best_fit(
     robust = max(best, fitted(at, rates[1:]), key=itemgetter(0))
     gaussian = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
     return gaussian_fit(observed, clean, at, every, held) if gaussian else robust
+
+
+def whole_sensor(
+    sensor: Sensor,
+    camera: Camera,
+    whole: np.ndarray,
+    chart: Chart,
+    values: np.ndarray,
+    blurs: tuple[float, ...] = BLURS,
+) -> Sensor:
+    """Return the Sensor of a whole image of which that of one view has single pixels, its numbers fitted.
+
+    The pixels beside a jump tell the blur by how much of its other side each shows, which only the whole image says.
+    whole : (H, W) metres, below zero where it shows what is no part of the scene. values : (D,) coordinates at which a
+    chart's solids explain it. blurs : in pixels, about the best of which it is sought.
+    """
+    wall, every = sensor.values["background"], max(1, camera.width // TOLD_BY)
+    scene = model_depth(chart, values, camera, sensor.into, wall)
+    observed = cut_off(whole, scene)
+    _, name, told = best_fit(observed, scene, blurs, RATES, (0.05, 0.025, 0.0125), every, sensor.prior, wall)
+    return sensor._replace(camera=camera, observed=observed, beside=None).changed(name, **told)
+
+
+def without_blur(sensor: Sensor, whole: Sensor, depth: np.ndarray, chart: Chart, values: np.ndarray) -> Sensor:
+    """Return the Sensor of one view whose pixels, single ones of a whole image, are as they were without its blur.
+
+    whole : the `whole_sensor` given the scene at coordinates (D,). depth : (H, W) metres, what it shows, all of it.
+    """
+    scene, told = whole.clean(chart, values), whole.values
+    noise = told["sigma"] + told.get("sigma_growth", 0.0) * scene**2
+    single = single_pixels(unmixed_by(scene, depth, told["blur"], noise), whole.camera.width // sensor.camera.width)
+    single = np.where(sensor.observed < 0.0, sensor.observed, single)
+    prior = (LikelihoodPrior("robust") if sensor.prior is None else sensor.prior).with_values({"blur": 0.0})
+    return sensor._replace(observed=single, prior=prior, beside=None).changed(blur=0.0)
 
 
 def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
