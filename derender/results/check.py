@@ -333,18 +333,21 @@ def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -
 
 
 def faces_of(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:
-    """Return the Faces of the floor and of boxes that the image (H, W) shows, told apart by the best scene."""
+    """Return the Faces of floors and of boxes that the image (H, W) shows, told apart by the best scene."""
     from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 
-    named = {vertex.name: place for place, vertex in enumerate(graph.vertices, start=1) if vertex.shape in BOXES}
-    poses = graph.poses()
-    points = camera.points(fit.predicted)
-    key = np.where(fit.explained & ~fit.background & (fit.label == FLOOR), 0, -1)
-    for name, place in named.items():
-        mask = fit.label == place
-        local = (points[mask] - poses[name][:3, 3]) @ poses[name][:3, :3] / np.array(graph.vertex(name).body.size())
-        axis = np.argmax(np.abs(local), axis=1)
-        key[mask] = 6 * place + 2 * axis + (np.take_along_axis(local, axis[:, None], axis=1)[:, 0] > 0.0)
+    poses, points = graph.poses(), camera.points(fit.predicted)
+    planar = fit.explained & ~fit.background & (fit.label == FLOOR)
+    key = np.full(fit.label.shape, -1)
+    for place, vertex in enumerate(graph.vertices, start=1):
+        pose, size = poses[vertex.name], vertex.body.size()
+        if size is None:  # beyond its horizon a wall shows, at the side another floor
+            key[planar & (np.abs((points - pose[:3, 3]) @ pose[:3, 2]) < ROUNDING * fit.predicted)] = 6 * place
+        elif vertex.shape in BOXES:
+            mask = fit.label == place
+            local = (points[mask] - pose[:3, 3]) @ pose[:3, :3] / np.array(size)
+            axis = np.argmax(np.abs(local), axis=1)
+            key[mask] = 6 * place + 2 * axis + (np.take_along_axis(local, axis[:, None], axis=1)[:, 0] > 0.0)
     cross = generate_binary_structure(2, 1)
     alike = minimum_filter(key, footprint=cross) == maximum_filter(key, footprint=cross)
     rows, columns = np.nonzero(alike & np.isfinite(observed) & (key >= 0))

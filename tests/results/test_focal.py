@@ -54,6 +54,18 @@ def test_a_wrong_focal_length_is_told_and_which_would_be_right(turns, wrong):
     assert f"pixels and not {CAMERA.fx * wrong:.0f}:" in words
 
 
+def test_a_wall_beyond_the_floors_horizon_is_no_part_of_it():
+    """The floor's normal was fitted through both: three of ten low views with the right focal length were doubted."""
+    graph, _ = seen((10, 55), elevation=7.0)
+    clean = fit_of(graph, CAMERA, np.ones(CAMERA.shape), {"background": 10.0}).predicted
+    observed = clean + np.random.default_rng(0).normal(0.0, 0.002, clean.shape)
+    faces = faces_of(graph, fit_of(graph, CAMERA, observed, {"background": 10.0}), CAMERA, observed)
+    floor = faces[0].plane * [CAMERA.fx, CAMERA.fy, 1.0]
+    assert abs(floor @ graph.down()) / np.linalg.norm(floor) > np.cos(np.radians(1.0))  # which is of length 1
+    assert wrong_focal_length(faces, CAMERA) == []
+    assert wrong_focal_length(faces, replace(CAMERA, fx=1.25 * CAMERA.fx, fy=1.25 * CAMERA.fy))
+
+
 def test_pixels_that_are_not_square_are_heeded():
     graph, observed = seen((10, 55))
     wide = replace(CAMERA, fx=2.0 * CAMERA.fx, cx=2.0 * CAMERA.cx, width=2 * CAMERA.width)
