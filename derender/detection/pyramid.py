@@ -22,6 +22,7 @@ MOST, AT_MOST = 0.75, 1.1503
 ROUNDS = 30  # of leaving out, at most
 BEGIN = 1000  # residuals, about, of which it is told where the leaving out begins
 LEAST_SIGMA, MOST_SIGMA, MOST_GROWTH = 1e-4, 1.0, 1.0  # the last two as a likelihood allows them
+LEAST_PART = 1e-5  # metres of the part that does not grow, of noise that is LEAST_SIGMA in all where it is least
 GROWING = 1.08  # times the noise at the nearest depths from which that at the farthest is clearly more
 MOST_DEPTHS, ENOUGH = 8, 100  # at which the noise is told, and residuals, at least, that tell it at one
 USUAL_OFF, POLISHED = 0.05, 2  # of the log of a spread: what 100 residuals leave open; steps of least squares
@@ -47,7 +48,7 @@ def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
     sigma, growth = noise_through(spreads, squares[told]) if told.sum() > 1 else (spreads[0], 0.0)
     if sigma + growth * squares[told].max() < GROWING * (sigma + growth * squares[told].min()):
         sigma, growth = spread_of(r), 0.0
-    return float(np.clip(sigma, LEAST_SIGMA, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
+    return float(np.clip(sigma, LEAST_PART, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
 
 
 @njit(cache=True, nogil=True)
@@ -82,7 +83,7 @@ def noise_through(spreads, squares):
     for i in range(len(spreads)):
         for j in range(i + 1, len(spreads)):
             slope = max((spreads[j] - spreads[i]) / max(squares[j] - squares[i], 1e-12), 0.0)
-            slope = min(slope, (spreads[i] - LEAST_SIGMA) / max(squares[i], 1e-12))
+            slope = min(slope, (spreads[i] - LEAST_PART) / max(squares[i], 1e-12))
             begin, off = spreads[i] - slope * squares[i], 0.0
             for k in range(len(spreads)):
                 off += abs(np.log(spreads[k] / (begin + slope * squares[k])))
@@ -100,7 +101,7 @@ def noise_through(spreads, squares):
         if determinant <= EQUALLY_FAR * a * c:
             break
         further, steeper = (c * u - b * v) / determinant, (a * v - b * u) / determinant
-        if sigma + further < LEAST_SIGMA or growth + steeper < 0.0:
+        if sigma + further < LEAST_PART or growth + steeper < 0.0:
             break
         sigma, growth = sigma + further, growth + steeper
     return sigma, growth

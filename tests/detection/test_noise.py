@@ -52,6 +52,14 @@ def test_growth_of_a_rounding_sensor_s_noise():
         assert (sigma + growth * depth[there] ** 2).mean() == pytest.approx(residual[there].std(), rel=0.06)
 
 
+def test_noise_that_grows_from_nothing_is_as_large_as_it_is_far_away():
+    """With a tenth of a millimetre that does not grow at least, it was told a fifth too small there, and trust lost."""
+    rng = np.random.default_rng(3)
+    depth = 0.25 / rng.uniform(0.2, 1.0, 16_000)  # of a floor that goes on from .25 to 1.25 m
+    sigma, growth = noise_of(0.001 * depth**2 * rng.normal(size=depth.size), depth)
+    assert sigma + growth * 1.25**2 == pytest.approx(0.001 * 1.25**2, rel=0.06)
+
+
 def test_noise_over_a_wide_range_of_depths_is_as_likely_as_the_true_one():
     """Noise told by a near and a far half alone was 200 nats less likely, as it differs by much within either."""
     rng = np.random.default_rng(2)
