@@ -12,13 +12,13 @@ TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0
 SIGMA = 0.001
 
 
-def seen_on_the_table(solids, seed=0):
+def seen_on_the_table(solids, seed=0, table=TABLE):
     """Return a noisy depth image of (kind, x, y, size, mesh or None) that stand on the table."""
-    kinds, poses, sizes, which, meshes = [PLANE], [TABLE], [np.zeros(3)], [-1], []
+    kinds, poses, sizes, which, meshes = [PLANE], [table], [np.zeros(3)], [-1], []
     for kind, x, y, size, mesh in solids:
         pose = np.eye(4)
         pose[:3, 3] = x, y, 0.5 * size[2]
-        kinds.append(kind), poses.append(TABLE @ pose), sizes.append(np.array(size, float))
+        kinds.append(kind), poses.append(table @ pose), sizes.append(np.array(size, float))
         which.append(-1 if mesh is None else len(meshes))
         if mesh is not None:
             meshes.append((mesh[0] / np.ptp(mesh[0], axis=0), mesh[1]))

@@ -195,6 +195,17 @@ def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_
         assert part_of_another(seen, State(), masks, normal) == expected
 
 
+def test_of_what_is_seen_from_above_alone_nothing_hangs():
+    """Packs thrown into a bin were one thing: each went on into the next, and its top was over the bin's floor."""
+    above = translation(0.0, 0.02, 0.75) @ rotation_x(np.pi)
+    beside = [(BOX, x, 0.0, (0.1, 0.1, 0.08), None) for x in (-0.05, 0.05)]
+    seen = observe(seen_on_the_table(beside, table=above), CAMERA)
+    column = np.indices(seen.mask.shape)[1]
+    left = seen.mask & (column < np.median(column[seen.mask]))
+    normal = seen.surface.normals(seen.surface.good)
+    assert part_of_another(seen, State(), [left, seen.mask & ~left], normal) is None
+
+
 def test_a_small_piece_in_the_air_is_part_of_the_free_form_thing_that_bears_it():
     """The heads of persons were objects of their own, with a box down to the floor."""
     torso, head = trimesh.creation.box([0.2, 0.1, 0.2]), trimesh.creation.icosphere(radius=0.04)
