@@ -149,6 +149,7 @@ def floor_on(shape: tuple[int, int], good: np.ndarray, flat: np.ndarray, normal:
 
 # Rounds in which the pixels that are on the plane are told again, at most; standard deviations of a step to end with.
 ROUNDS_OF_NOISE, LITTLE = 12, 0.1
+USUAL_BLUR = 1.0  # squared pixels, of images: seen from above a floor does not tell it, and would trade its tilt for it
 HORIZON = 5.0  # pixels under the horizon from which on a blur shows in a floor's depths as their second derivative does
 
 
@@ -174,10 +175,14 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
         if on.sum() < FEWEST or (on == before).all():
             break
         change = np.column_stack([-rays[on] / w[on, None] ** 2, steepness**2 / w[on] ** 3]) / sigma[on, None]
-        precision = change.T @ change
-        step = np.linalg.lstsq(precision, change.T @ (residual[on] / sigma[on]), rcond=None)[0]
+        precision, pull = change.T @ change, change.T @ (residual[on] / sigma[on])
+        precision[3, 3] += 1.0 / USUAL_BLUR**2
+        pull[3] -= numbers[3] / USUAL_BLUR**2
+        step = np.linalg.lstsq(precision, pull, rcond=None)[0]
+        if numbers[3] + step[3] < 0.0:  # without a blur the plane is another one
+            step[3] = -numbers[3]
+            step[:3] = np.linalg.lstsq(precision[:3, :3], pull[:3] - precision[:3, 3] * step[3], rcond=None)[0]
         numbers += step
-        numbers[3] = max(numbers[3], 0.0)
         length = float(np.linalg.norm(numbers[:3]))
         normal, offset = -numbers[:3] / length, -1.0 / length
         inliers = np.zeros(depth.shape, bool)
