@@ -13,7 +13,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
 from derender.detection.patches import local_planes
-from derender.detection.pyramid import intrinsics, noise_of
+from derender.detection.pyramid import estimate_blur, intrinsics, noise_of
 from derender.errors import DerenderError
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
 from derender.scene.pose import upright_frame
@@ -150,7 +150,9 @@ def floor_on(shape: tuple[int, int], good: np.ndarray, flat: np.ndarray, normal:
 # Rounds in which the pixels that are on the plane are told again, at most; standard deviations of a step to end with.
 ROUNDS_OF_NOISE, LITTLE = 12, 0.1
 USUAL_BLUR = 1.0  # squared pixels, of images: seen from above a floor does not tell it, and would trade its tilt for it
-HORIZON = 5.0  # pixels under the horizon from which on a blur shows in a floor's depths as their second derivative does
+# Pixels under the horizon, and for each pixel of the blur, from which on a blur shows in a floor's depths as their
+# second derivative does, to a tenth.
+HORIZON, BLURRED_HORIZON = 5.0, 13.0
 
 
 def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -> Floor:
@@ -165,13 +167,15 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
     good = np.flatnonzero(np.isfinite(depth) & (depth > 0))
     rays, seen = back_project(np.ones_like(depth), camera).reshape(-1, 3)[good], depth.ravel()[good]
     flat, told, on = rays * seen[:, None], floor, floor.inliers.ravel()[good]
+    noise = noise_map(depth, floor, camera)
+    horizon = max(HORIZON, BLURRED_HORIZON * estimate_blur(depth, noise))
     numbers = np.append(floor.pose[:3, 2] / (floor.pose[:3, 3] @ floor.pose[:3, 2]), 0.0)  # w = numbers[:3] . ray; s^2
     for _ in range(ROUNDS_OF_NOISE):
         steepness = np.hypot(numbers[0] / fx, numbers[1] / fy)  # of w, by a pixel
         w = np.maximum(rays @ numbers[:3], 1e-9)
         residual = seen - 1.0 / w - numbers[3] * steepness**2 / w**3
-        sigma = noise_map(depth, told, camera).ravel()[good]
-        before, on = on, (w > HORIZON * steepness) & (np.abs(residual) < WITHIN * sigma)
+        sigma = noise.ravel()[good]
+        before, on = on, (w > horizon * steepness) & (np.abs(residual) < WITHIN * sigma)
         if on.sum() < FEWEST or (on == before).all():
             break
         change = np.column_stack([-rays[on] / w[on, None] ** 2, steepness**2 / w[on] ** 3]) / sigma[on, None]
@@ -190,6 +194,7 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
         told = Floor(frame_of(normal, offset, flat[on].mean(axis=0)), floor.sigma, inliers)
         if step @ precision @ step < LITTLE**2:
             break
+        noise = noise_map(depth, told, camera)
     if told is floor:
         return floor
     scale = 1.4826 * float(np.median(np.abs(flat[told.inliers.ravel()[good]] @ normal - offset)))

@@ -298,9 +298,11 @@ def make_groups(rng: np.random.Generator, count: Any = 20) -> Any:
     return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))
 
 
-def before_horizon(elevation: float, distance: float, view: float, seed: int = 0, columns: int = 160) -> Any:
+def before_horizon(
+    elevation: float, distance: float, view: float, seed: int = 0, columns: int = 160, blurred: float = 0.5
+) -> Any:
     """Return (depth (H, W), Camera, the floor's pose) of a cube of 6 cm before the horizon of a floor, ten metres to
-    what lies behind all, with 2 mm of noise and half a pixel of blur. elevation, view : degrees."""
+    what lies behind all, with 2 mm of noise. elevation, view : degrees. blurred : pixels."""
     camera = Camera.from_field_of_view(columns, columns * 3 // 4, view)
     floor = rotation_x(np.pi / 2 + np.radians(elevation))
     floor[:3, 3] = 0.0, 0.0, distance
@@ -309,7 +311,7 @@ def before_horizon(elevation: float, distance: float, view: float, seed: int = 0
                     np.array([-1, -1], np.int32), ())  # fmt: skip
     depth, _ = render_depth(solids, camera, background=10.0)
     noise = 0.002 * np.random.default_rng(seed).standard_normal(depth.shape)
-    return blur(np.minimum(depth, 10.0), 0.5) + noise, camera, floor
+    return blur(np.minimum(depth, 10.0), blurred) + noise, camera, floor
 
 
 def drawn_scene(seed: int, prior: str, size: Any = None, sigma: Any = None) -> Any:
