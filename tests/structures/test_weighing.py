@@ -536,7 +536,7 @@ def test_one_pixel_beside_an_edge_is_no_wall_to_a_climb():
     _, image, _, camera = drawn_scene(998550, "tabletop", None, None)
     posterior = infer_structure(image, camera, rng=np.random.default_rng([998550, 7]))
     assert posterior.best_part.extras["likelihood"]["type"] == "robust"
-    assert posterior.shape_probability("cube_2") == pytest.approx({"cube": 1.0}, abs=0.05)
+    assert posterior.shape_probability("cube_2")["cube"] > 0.95
 
 
 def test_a_climb_that_hides_a_solid_is_none_that_counts():
