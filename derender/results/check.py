@@ -170,7 +170,7 @@ def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np
         mask[top:bottom, left:right] = True
         if fit.background[mask].mean() < 0.5:
             regions.append(Region(letter, mask, float(mask[valid].mean())))
-    where = ", ".join(region.where for region in regions)
+    where = " and ".join(region.where for region in regions)
     words = f"what is seen {where} is not where this scene has it, by more than its noise"
     return [Doubt(words, True, tuple(regions))] if regions else []
 
