@@ -117,7 +117,7 @@ MUTATIONS = [
          "return normal + HAAR", JUMPS),
         ("jumps: births' mixture share", "structures/jumps/proposal.py",
          "total += (1.0 - self.on_prior) * component.weight", "total += component.weight", JUMPS),
-        ("jumps: bearers not counted", "structures/jumps/proposal.py", "-math.log(len(bearers))", "0.0", JUMPS),
+        ("jumps: bearers not counted", "structures/jumps/base.py", "-math.log(len(bearers))", "0.0", JUMPS),
         # weights of structures of a bare image
         ("merge: one box's evidence only", "structures/unions.py", "[place]), Block(best, [i, j])",
          "[place]), Block(best, [i])", WEIGHTS),

@@ -17,7 +17,7 @@ from derender.posterior.ascent import cooled
 from derender.posterior.compiled.backend import Backend
 from derender.posterior.target import SceneTarget
 from derender.scene.contacts import contacts
-from derender.scene.distributions import Distribution
+from derender.scene.distributions import Distribution, within
 from derender.scene.graph import ROOT, SceneGraph, Vertex, relative_pose
 from derender.scene.pose import from_axes, inverse, upright_frame
 from derender.scene.shapes import Body, Shape
@@ -33,7 +33,7 @@ AGAIN = 2  # times that places are resized and cooled again: one ended 7,000 nat
 SAME = 1e-3  # nats in which two ways to turn a solid differ that make no difference
 UNSEEN = 1.0  # metres that an object counts as misplaced which is none of the solids: more than those of any that is
 QUATERNION = ("qw", "qx", "qy", "qz")
-WITHIN = 1e-6  # of a range, that a number which lies outside is put within it
+EDGE_ON = 1e-6  # cosine between a plane and a direction from which on it runs along it
 
 
 def solids_seen(target: SceneTarget, seed: int) -> SceneGraph | None:
@@ -221,7 +221,7 @@ def root_of(target: SceneTarget, laws: dict[str, Distribution], seen: SceneGraph
     if not free or not planes or not floors or target.root_prior is None:
         return target.template.root_pose
     floor = seen.poses()[floors[0].name]
-    if abs(floor[0, 2]) > 1.0 - WITHIN:  # the floor's normal is the image's x: no axis of it points to the right
+    if abs(floor[0, 2]) > 1.0 - EDGE_ON:  # the floor's normal is the image's x: no axis of it points to the right
         return target.template.root_pose
     own = inverse(target.template.root_pose) @ target.template.poses()[planes[0].name]
     # The root's axes: its plane's normal is the floor's, x points to the right of the image, and the optical axis
@@ -230,7 +230,7 @@ def root_of(target: SceneTarget, laws: dict[str, Distribution], seen: SceneGraph
     pose = upright_frame(up)
     pose[:3, :3] = pose[:3, :3] @ own[:3, :3].T
     above = float(own[:3, 2] @ own[:3, 3])
-    pose[2, 3] = (up @ floor[:3, 3] - above) / (up[2] if abs(up[2]) > WITHIN else -WITHIN)
+    pose[2, 3] = (up @ floor[:3, 3] - above) / (up[2] if abs(up[2]) > EDGE_ON else -EDGE_ON)
     values = target.root_prior.values(pose)
     return target.root_prior.pose({a: within(law.support, values[a])[0] if law.size == 1 else values[a]
                                    for a, law in free.items()})  # fmt: skip
@@ -291,11 +291,3 @@ def at_solid(
             values[name], beyond = within(law.support, folded)
             off += scale * beyond
     return replace(made, contact=replace(contact, values=values)), off
-
-
-def within(support: tuple[float, float], value: float) -> tuple[float, float]:
-    """Return the number nearest to a value that a distribution with this support can have, and how far it is off."""
-    low, high = support
-    margin = WITHIN * (high - low) if math.isfinite(high - low) else WITHIN
-    inside = min(max(value, low + margin), high - margin)
-    return inside, abs(value - inside)

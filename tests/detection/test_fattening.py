@@ -7,7 +7,7 @@ from scipy.ndimage import minimum_filter
 
 from derender.detection.fattening import fattened, flat_pixels, thinned
 from derender.scene.pose import translation
-from derender.structures.infer import case_of
+from derender.structures.case import case_of
 from derender.structures.options import Frame, Options
 from worlds.frontier_scenes import KINDS, make
 from worlds.made_scenes import drawn_scene

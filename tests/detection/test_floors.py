@@ -17,7 +17,7 @@ from derender.detection.solids.beliefs import bare_image
 from derender.render.raycast.depth import render_depth
 from derender.scene.priors.bare_image import Floors, Missed
 from derender.scene.solids import BOX, PLANE, Solids
-from derender.structures.infer import missed_by
+from derender.structures.answer import missed_by
 from worlds.frontier_scenes import KINDS, make
 
 WIDE = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)

@@ -23,7 +23,8 @@ from derender.errors import DerenderError
 from derender.evaluation.convex import intersection_volume
 from derender.scene.pose import random_rotation, rotation_x, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.infer import infer_structure, settings_of
+from derender.structures.case import settings_of
+from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 from worlds.made_scenes import drawn_scene, kinect_noise, make_scene, photograph, render_floor_scene
 

@@ -13,9 +13,10 @@ from derender.document import document_from, read_prior_document
 from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth
 from derender.scene.codec.yaml_tree import parse_yaml
+from derender.structures.case import settings_of
 from derender.structures.draws.chart import log_prior, make_chart, place_rows
 from derender.structures.draws.numbers import state_of
-from derender.structures.infer import infer_structure, settings_of
+from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
 SCENE = """derender: 1

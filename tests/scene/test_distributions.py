@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate, stats
 
 from derender.errors import DerenderError
-from derender.scene.distributions import Categorical, distributions
+from derender.scene.distributions import Categorical, distributions, within
 
 CASES = {
     "uniform": [(-0.3, 1.7)],
@@ -224,3 +224,10 @@ def test_distributions_pickle_and_compare():
     for name, parameters in SCALAR:
         distribution = distributions[name](*parameters)
         assert pickle.loads(pickle.dumps(distribution)) == distribution
+
+
+def test_a_number_outside_is_put_within_by_as_little_as_can_be():
+    law = distributions["uniform"](0.02, 0.05)
+    assert within(law.support, 0.03) == (0.03, 0.0)
+    inside, beyond = within(law.support, 0.07)
+    assert law.log_density(inside) > -math.inf and beyond == pytest.approx(0.02, abs=1e-6)

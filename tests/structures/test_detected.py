@@ -13,7 +13,7 @@ from derender.posterior.sampler import Settings
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
 from derender.structures import detected
-from derender.structures.detected import Solid, places_of, root_of, solids_seen, within
+from derender.structures.detected import Solid, places_of, root_of, solids_seen
 from derender.structures.given import mixture_of, targets
 
 SCENE = """
@@ -133,11 +133,3 @@ def test_a_solid_grows_away_from_the_face_that_stays(tmp_path):
             ]
             assert np.abs(ends[0] - ends[1]).max() < 1e-12
             assert longer.body.size()[axis] == pytest.approx(1.5 * solid.body.size()[axis])
-
-
-def test_a_number_outside_is_put_within_by_as_little_as_can_be(tmp_path):
-    target, *_ = made(tmp_path, KNOWN_ROOT, 0)
-    law = next(u.distribution for u in target.space.unknowns if u.address == "yellow.radius")
-    assert within(law.support, 0.03) == (0.03, 0.0)
-    inside, beyond = within(law.support, 0.07)
-    assert law.log_density(inside) > -math.inf and beyond == pytest.approx(0.02, abs=1e-6)

@@ -27,6 +27,7 @@ from derender.scene.graph import Contact, Vertex
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures import graph_posterior
+from derender.structures.case import CHAINS, DRAWS
 from derender.structures.draws import chart as charts
 from derender.structures.draws import metropolis
 from derender.structures.draws.chart import (
@@ -66,7 +67,6 @@ from derender.structures.draws.steps import (
     touched_by,
 )
 from derender.structures.graph_posterior import MOST_PARTS, independent_parts, leading
-from derender.structures.infer import CHAINS, DRAWS
 from derender.structures.weighing import Weighed
 
 UPRIGHT, FREE = 0, 1

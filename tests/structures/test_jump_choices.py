@@ -17,14 +17,8 @@ from test_jumps import Twin
 from derender.scene.graph import ROOT, Vertex
 from derender.scene.pose import random_rotation, rotation_angle, rotation_z, translation
 from derender.scene.priors.objects import ROTATION
-from derender.structures.jumps.base import Vocabulary, moves
-from derender.structures.jumps.proposal import (
-    Hypothesis,
-    HypothesisProposal,
-    PriorProposal,
-    rotation_density,
-    rotation_near,
-)
+from derender.structures.jumps.base import PriorProposal, Vocabulary, moves
+from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, rotation_density, rotation_near
 
 LEAST = 30  # choices of one kind that are looked at
 SEVERE = 4.5  # standard errors that pass

@@ -11,10 +11,10 @@ from derender.document import read_prior_document
 from derender.scene.distributions import distributions
 from derender.scene.priors.objects import ShapePrior
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures.case import settings_of
 from derender.structures.draws.chart import SIZE, SLOTS, make_chart
 from derender.structures.draws.metropolis import engine_of, run, walker_at
 from derender.structures.draws.steps import own_members, single_steps
-from derender.structures.infer import settings_of
 from derender.structures.options import Options
 
 UPRIGHT = 0

@@ -14,10 +14,11 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX
 from derender.structures.alternatives import QUICK, unclimbed, weighed_whole
+from derender.structures.answer import missed_by
 from derender.structures.draws.metropolis import SAME, engine_of, likelihood_without, load, log_evidence
 from derender.structures.draws.refined import at_mode, members_of, pixels_of
 from derender.structures.graph_posterior import shown_and_left
-from derender.structures.infer import infer_structure, missed_by
+from derender.structures.infer import infer_structure
 from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
 from worlds.made_scenes import drawn_scene
 

@@ -9,6 +9,6 @@ True
 """
 
 from derender.scene.distributions import continuous, discrete  # noqa: F401 - registered by being imported
-from derender.scene.distributions.discrete import ROW, Categorical, Distribution, distributions
+from derender.scene.distributions.discrete import ROW, Categorical, Distribution, distributions, within
 
-__all__ = ["ROW", "Categorical", "Distribution", "distributions"]
+__all__ = ["ROW", "Categorical", "Distribution", "distributions", "within"]

@@ -12,6 +12,8 @@ from derender.registry import Registry
 
 ROW = 4  # floats in a row
 
+WITHIN = 1e-6  # of a range, that a number which lies outside is put within it
+
 distributions: Registry[Any] = Registry("distribution", "derender.distributions", make=lambda family: family)
 
 
@@ -22,6 +24,14 @@ def bisected(cdf: Callable[[float], float], probability: float, low: float, high
         low, high = (middle, high) if cdf(middle) < probability else (low, middle)
         middle = 0.5 * (low + high)
     return middle
+
+
+def within(support: tuple[float, float], value: float) -> tuple[float, float]:
+    """Return the number nearest to a value that a distribution with this support can have, and how far it is off."""
+    low, high = support
+    margin = WITHIN * (high - low) if math.isfinite(high - low) else WITHIN
+    inside = min(max(value, low + margin), high - margin)
+    return inside, abs(value - inside)
 
 
 class Distribution:

@@ -43,7 +43,7 @@ class Existence:
 
 @dataclass(frozen=True)
 class Missed:
-    """How probable it is that a search has not found what is there at all, see `structures.infer.missed_by`.
+    """How probable it is that a search has not found what is there at all, see `structures.answer.missed_by`.
 
     settled : of an image, where two searches agreed and nothing is left unexplained.
     unweighed : where what was found was not weighed against others (`--method map` does not).

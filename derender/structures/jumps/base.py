@@ -19,7 +19,7 @@ one continuous number for each object that can be born: two objects are never th
 import math
 from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,17 +32,44 @@ from derender.sampling.metropolis import Info, decide
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
-from derender.scene.priors.objects import ShapePrior
+from derender.scene.priors.objects import ShapePrior, draw_vertex
 from derender.scene.priors.tree import seat
-
-if TYPE_CHECKING:
-    from derender.structures.jumps.proposal import HypothesisProposal
-
 
 MOST_STRUCTURES = 1024  # whose coordinates are remembered
 
 Choice = tuple[str, str | None, str | None]  # contact type, parent's face, child's face
 Table = Mapping[str, float | Distribution]  # a contact's numbers by name, slack that is ideal left out
+
+
+class PriorProposal:
+    """A parent, each as likely; then kind, sizes, contact and its numbers from the prior.
+
+    log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers).
+    """
+
+    def sample(self, rng: np.random.Generator, words: Any, graph: SceneGraph) -> Vertex | None:
+        """Return a new vertex with a name of its own; None where nothing can grow."""
+        bearers = words.bearers(graph)
+        if not bearers:
+            return None
+        parent = bearers[int(rng.random() * len(bearers))]
+        kind = words.kinds(graph, parent).sample(rng)
+        name, contacts = words.fresh_name(graph.names, kind), words.prior.contacts
+        return draw_vertex(rng, name, words.shapes[kind], contacts, parent, *words.seat(graph, parent))
+
+    def log_density(self, words: Any, graph: SceneGraph, vertex: Vertex) -> float:
+        """Return the log density of drawing this vertex, whatever its name, for a graph that lacks it."""
+        bearers = words.bearers(graph)
+        if vertex.parent not in bearers:
+            return -math.inf
+        kind = words.prior.kind_of(vertex)
+        shape, top = words.seat(graph, vertex.parent)
+        return (
+            -math.log(len(bearers))
+            + words.kinds(graph, vertex.parent).log_density(kind)
+            + words.shapes[kind].log_density(vertex)
+            + words.prior.contacts.log_density(vertex.contact, shape, vertex.shape, top)
+        )
 
 
 class Vocabulary:
@@ -56,11 +83,9 @@ class Vocabulary:
     shapes : ShapePrior of each kind of object that can be born.
     """
 
-    def __init__(self, prior: Algorithm1Prior | GrammarPrior, proposal: "HypothesisProposal | None" = None) -> None:
+    def __init__(self, prior: Algorithm1Prior | GrammarPrior, proposal: PriorProposal | None = None) -> None:
         if not isinstance(prior, Algorithm1Prior | GrammarPrior):
             raise DerenderError("the prior names its objects", remedy="give one with structure:")
-        from derender.structures.jumps.proposal import PriorProposal
-
         self.prior = prior
         self.shapes: Mapping[str, ShapePrior] = prior.shapes
         self.base = frozenset(prior.tree.by_name)

@@ -10,45 +10,14 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion, rotation_angle
-from derender.scene.priors.objects import QUATERNION, ROTATION, draw_vertex
+from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
-from derender.structures.jumps.base import Vocabulary
+from derender.structures.jumps.base import PriorProposal, Vocabulary
 
 HAAR = math.log(8.0 * math.pi**2)  # of the mass of dw over all rotation vectors w, near each rotation
 MOST_KNOWN = 10_000  # hypotheses on a parent in one place whose components are remembered
 FAR = 20.0  # standard deviations from which on a normal is taken for nothing
 ON_PRIOR = 0.2  # share of the births that come from the prior all the same: nothing it allows is out of reach
-
-
-class PriorProposal:
-    """A parent, each as likely; then kind, sizes, contact and its numbers from the prior.
-
-    log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers).
-    """
-
-    def sample(self, rng: np.random.Generator, words: Any, graph: SceneGraph) -> Vertex | None:
-        """Return a new vertex with a name of its own; None where nothing can grow."""
-        bearers = words.bearers(graph)
-        if not bearers:
-            return None
-        parent = bearers[int(rng.random() * len(bearers))]
-        kind = words.kinds(graph, parent).sample(rng)
-        name, contacts = words.fresh_name(graph.names, kind), words.prior.contacts
-        return draw_vertex(rng, name, words.shapes[kind], contacts, parent, *words.seat(graph, parent))
-
-    def log_density(self, words: Any, graph: SceneGraph, vertex: Vertex) -> float:
-        """Return the log density of drawing this vertex, whatever its name, for a graph that lacks it."""
-        bearers = words.bearers(graph)
-        if vertex.parent not in bearers:
-            return -math.inf
-        kind = words.prior.kind_of(vertex)
-        shape, top = words.seat(graph, vertex.parent)
-        return (
-            -math.log(len(bearers))
-            + words.kinds(graph, vertex.parent).log_density(kind)
-            + words.shapes[kind].log_density(vertex)
-            + words.prior.contacts.log_density(vertex.contact, shape, vertex.shape, top)
-        )
 
 
 class Hypothesis(NamedTuple):
@@ -76,7 +45,7 @@ class Component(NamedTuple):
     spreads: dict
 
 
-class HypothesisProposal:
+class HypothesisProposal(PriorProposal):
     """A mixture of the prior's proposal and of normals about hypotheses.
 
     The components are a function of the graph that lacks the new object: for each hypothesis, each bearer and each
@@ -93,7 +62,6 @@ class HypothesisProposal:
     def __init__(self, hypotheses: Sequence[Hypothesis], on_prior: float = ON_PRIOR) -> None:
         self.hypotheses = tuple(hypotheses)
         self.on_prior = on_prior
-        self.fallback = PriorProposal()
         self._last: tuple = (None, [])
         self._known: dict[tuple, list[Component]] = {}
 
@@ -138,7 +106,7 @@ class HypothesisProposal:
         """Return a new vertex; None where nothing can grow or a number fell outside its support by rounding."""
         components = self.components(words, graph)
         if not components or rng.random() < self.on_prior:
-            return self.fallback.sample(rng, words, graph)
+            return super().sample(rng, words, graph)
         threshold, chosen = rng.random(), components[-1]
         for component in components:
             threshold -= component.weight
@@ -159,7 +127,7 @@ class HypothesisProposal:
     def log_density(self, words: Vocabulary, graph: SceneGraph, vertex: Vertex) -> float:
         """Return the log density of drawing this vertex for a graph that lacks it."""
         components = self.components(words, graph)
-        prior = self.fallback.log_density(words, graph, vertex)
+        prior = super().log_density(words, graph, vertex)
         if not components:
             return prior
         kind = words.prior.kind_of(vertex)

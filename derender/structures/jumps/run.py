@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender import __version__
+from derender.detection.estimate import point_estimate
 from derender.detection.floor import read_floor
 from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import any_sensor
@@ -28,16 +29,18 @@ from derender.posterior.target import ObservedImage
 from derender.results.posterior import Posterior, StructurePosterior, scene_of
 from derender.sampling import diagnostics
 from derender.sampling.chains import Plan, Record, Segment, fingerprint, run_chains
+from derender.scene.distributions import within
 from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.pose import inverse
 from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, written
 from derender.scene.shapes import shapes
 from derender.scene.shapes.kinds import ROTATIONS
-from derender.structures.detected import within
-from derender.structures.given import part_at
+from derender.structures.answer import explanation_of
+from derender.structures.case import settings_of, whole_camera
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
 from derender.structures.jumps.proposal import About, Hypothesis, HypothesisProposal, vertex_of
+from derender.structures.parts import part_at
 
 if TYPE_CHECKING:
     from derender.detection.search.observation import Observation
@@ -165,9 +168,6 @@ def infer_by_jumps(
 
     Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
-    from derender.detection.estimate import point_estimate
-    from derender.structures.infer import explanation_of, settings_of, whole_camera
-
     rng = np.random.default_rng(options.seed) if rng is None else rng
     camera = whole_camera(camera, image.shape)
     if progress:

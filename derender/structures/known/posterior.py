@@ -23,9 +23,9 @@ from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.pose import from_axes
 from derender.scene.priors.objects import QUATERNION, ROTATION
-from derender.structures.given import part_of, part_of_one
 from derender.structures.known.identities import Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import Known
+from derender.structures.parts import part_of, part_of_one
 
 Seen = Callable[[SceneGraph], ObservedImage]
 

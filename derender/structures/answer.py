@@ -1,0 +1,157 @@
+"""From structures with their draws to the posterior that is told: what each pixel shows, and what may be missed."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.detection.search.observation import CORRELATED, Observation, of_whole_image
+from derender.detection.solids.beliefs import sensor_beliefs
+from derender.detection.solids.misfit import AS_SEEN
+from derender.results.check import LEAST_FITTING
+from derender.results.fit import Explanation
+from derender.scene.graph import ROOT, SceneGraph
+from derender.scene.pose import inverse
+from derender.scene.priors.bare_image import Missed
+from derender.structures.case import Case, whole_camera
+from derender.structures.options import Frame
+
+if TYPE_CHECKING:
+    from derender.posterior.target import ObservedImage
+    from derender.results.posterior import Posterior, StructurePosterior
+    from derender.structures.together import Look
+
+LITTLE_FLOOR = 0.4  # share of what shows no solid: what stands on the rest may be told background
+
+
+def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]", observations: list[Observation],
+             extras: dict[str, Any], interrupted: bool) -> "Posterior":  # fmt: skip
+    """Return the Posterior of the structures: what explains each pixel, and how probably something was missed."""
+    from derender.results.posterior import Posterior
+    from derender.structures.free_forms import thing_name
+
+    seen = looks[0].seen
+    things = [thing for each in observations for thing in each.things]
+    meta: dict[str, Any] = {"reduced_by": seen.factor, "fattened": case.fattened, "noise": seen.floor.sigma,
+            "correlation": seen.correlation,
+            "faces": case.beliefs.loose.faces if seen.correlation > CORRELATED else 0.0,
+            "backdrop": seen.background if seen.backdrop else 0.0,
+            "other_floors": [rival._asdict() for rival in seen.other_floors],
+            "no_floor": seen.no_floor, "interrupted": interrupted,
+            "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
+            "hidden_expected": extras.get("hidden_expected"), "spots": extras.get("spots", []),
+            "likelihood": likelihood_of(parts, observations, case)}  # fmt: skip
+    posterior = Posterior(tuple(parts), seed=case.options.seed, meta=meta)
+    graph = posterior.best_graph()
+    if len(looks) > 1:
+        into = np.array(posterior.best_part.extras["into"])
+        meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], case.frames, strict=True)]
+    told = explanation_of(graph, observations, case.depth, case.camera)
+    for name, share in told.borne_out(case.depth).items():
+        if share < LEAST_FITTING:  # what is seen elsewhere, or is none
+            known, error = meta["existence"].get(name, (1.0, 0.0))
+            meta["existence"][name] = (share * known, error)
+    believed = case.beliefs.loose.missed
+    if case.library:  # of whose answers no spots are counted
+        extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}
+    missed = missed_by(observations, extras, believed, told.share(case.depth))
+    hanging = [vertex.name for vertex in graph.vertices if vertex.parent == ROOT and vertex.body.size() is not None]
+    stands = not case.settings.may_float and any(vertex.body.size() is None for vertex in graph.vertices)
+    meta.update(missed=missed, wrong_if_missed=believed.wrong, hanging=hanging if stands else [])
+    return replace(
+        posterior, parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in parts), explanation=told
+    )
+
+
+def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],
+              missed: Missed, explained: float) -> float:  # fmt: skip
+    """Return the probability that the search has missed what is there.
+
+    That of the image as a whole, of each solid (what shows in few pixels may be something else, or two), and that
+    another plane is the floor.
+
+    observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
+        which say in how many independent pixels each solid shows, which spots are unexplained, and whether it was
+        weighed against others at all. missed : Missed, what the prior says. explained : share of the pixels.
+    """
+    seen = observations[0]
+    settled = all(each.agreed for each in observations) and not extras.get("spots")
+    floor, behind = seen.floor.inliers.mean(), seen.behind.mean()
+    alone = len(observations) == 1  # what stands on other planes is told with them
+    lost = seen.no_floor or (alone and floor < LITTLE_FLOOR * (floor + behind))
+    whole = missed.settled if settled else missed.open
+    if not extras.get("weighed", True):
+        whole = missed.unweighed
+    if lost:
+        whole = missed.no_floor
+    if seen.correlation > CORRELATED:
+        whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
+    found = 1.0 - missed.few * np.exp(-np.array(extras.get("pixels", [])) / missed.pixels)
+    same = 1.0 - sum(rival.probability for rival in seen.other_floors)
+    return float(1.0 - same * (1.0 - whole) * np.prod(found))
+
+
+def view_data(
+    graph: SceneGraph, into: np.ndarray, look: "Look", frame: Frame
+) -> dict[str, list[list[float]] | float | str]:
+    """Return what is kept of a further view: its name, pose (to the first camera), and the share that is explained."""
+    there = replace(graph, root_pose=into @ graph.root_pose)
+    told = explanation_of(there, [look.seen], frame.depth, frame.camera)
+    return {"image": frame.name, "pose": inverse(into).tolist(), "explained": told.share(frame.depth)}
+
+
+def explanation_of(
+    graph: SceneGraph, observations: list[Observation], depth: np.ndarray, camera: Camera
+) -> Explanation:
+    """Return what a scene says of each pixel of the image as it came, an Explanation.
+
+    observations : of the image, one for each plane on which something stands.
+    """
+    from derender.results.fit import explain
+
+    behind, bent, bend = np.ones(depth.shape, bool), np.zeros(depth.shape, bool), np.zeros(depth.shape)
+    for seen in observations:
+        own = (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & ~seen.behind
+        for thing in seen.things:
+            own &= ~thing.mask
+        there = ~of_whole_image(seen.behind, seen, depth.shape)
+        behind &= ~there
+        bent |= of_whole_image(own, seen, depth.shape)
+        if seen.bend is not None:
+            bend = np.where(there, of_whole_image(seen.bend, seen, depth.shape), bend)
+    noise, coarse = (max(values) for values in zip(*((s.floor.sigma, s.factor) for s in observations), strict=True))
+    hides = any(seen.correlation > CORRELATED for seen in observations)
+    return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse, hides)
+
+
+def likelihood_of(
+    parts: "list[StructurePosterior]", observations: list[Observation], case: Case
+) -> dict[str, float | str]:
+    """Return the type and the numbers of the likelihood under which the image as it came is explained.
+
+    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
+    """
+    from derender.structures.draws.sensor import too_far
+
+    best = max(parts, key=lambda part: part.weight)
+    if "likelihood" in best.extras and observations[0].factor == 1 and not too_far(case.depth).any():
+        return best.extras["likelihood"]
+    image = observed_under(best.best()[0], observations, case)
+    return {"type": image.type, **image.values}
+
+
+def observed_under(graph: SceneGraph, observations: list[Observation], case: Case) -> "ObservedImage":
+    """Return the image as it came under the likelihood that it suggests given a scene.
+
+    To what it shows of the scene that is fitted, not to what is known to lie behind it, or far away.
+    """
+    from derender.posterior.target import ObservedImage
+    from derender.structures.draws.sensor import image_likelihood, too_far
+
+    sensor, depth = sensor_beliefs(case.beliefs, observations[0].correlation > CORRELATED), case.depth
+    other = too_far(depth) | np.all([of_whole_image(each.behind, each, depth.shape) for each in observations], axis=0)
+    seen = np.where(other, -depth, depth)
+    return ObservedImage(
+        case.camera, seen, *image_likelihood(case.camera, seen, graph.solids(), sensor, observations[0].wall)
+    )

@@ -1,0 +1,47 @@
+"""Draws of the unknown numbers of one structure as a part of a posterior."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from derender.posterior.kernels.base import Part
+from derender.posterior.target import SceneTarget
+from derender.results.posterior import StructurePosterior
+from derender.sampling.chains import Record
+
+
+def part_of(target: SceneTarget, records: list[Record], mixed: list[Part]) -> StructurePosterior | None:
+    """Return the draws of several chains as one rectangle, cut where that keeps the most; None without any draw."""
+    counts = sorted((record.drawn for record in records), reverse=True)
+    kept = max(range(len(counts)), key=lambda k: (k + 1) * counts[k], default=None)
+    if kept is None or counts[kept] == 0:
+        return None
+    length = counts[kept]
+    chosen = [record for record in records if record.drawn >= length]
+    values = np.stack([record.values[:length] for record in chosen])
+    counts_by_kernel = np.sum([record.state["counts"] for record in chosen], axis=0)
+    acceptance = {
+        part.name: float(accepted / steps) if steps else math.nan
+        for part, (steps, accepted) in zip(mixed, counts_by_kernel, strict=True)
+    }
+    densities = np.stack([record.densities[:length] for record in chosen])
+    told = {name: rate for name, rate in acceptance.items() if not math.isnan(rate)}
+    return part_at(target, values, densities, 1.0, {"acceptance": told})
+
+
+def part_at(
+    target: SceneTarget, values: np.ndarray, densities: np.ndarray, weight: float, extras: Any
+) -> StructurePosterior:
+    """Return a structure's draws, (chains, draws, P), with their densities, (chains, draws, 2), as a posterior part."""
+    poses = None
+    if any(address.startswith("root.") for address in target.space.addresses):
+        poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
+    return StructurePosterior(target.template, target.space.addresses, values, densities[..., 0], densities[..., 1],
+                              weight, target.space.periods, poses, extras)  # fmt: skip
+
+
+def part_of_one(target: SceneTarget, values: np.ndarray, weight: float, extras: Any) -> StructurePosterior:
+    """Return values (P,) as a posterior's part of one draw."""
+    densities = np.array([[[target.log_prior(values), target.log_likelihood(values)]]])
+    return part_at(target, values[None, None], densities, weight, extras)
