@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -48,6 +49,20 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 def name_of(path):
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_readme_lists_the_rooms_in_an_order_in_which_imports_point_back():
+    laid_out = README.read_text().split("## How the code is laid out")[1].split("\n## ")[0]
+    rows = [re.findall(r"([a-z_]+)(?:/|\.py)", line.strip().split("  ")[0]) for line in laid_out.splitlines()
+            if line.startswith("    ")]  # fmt: skip
+    listed = {name: number for number, row in enumerate(rows) for name in row if name != "derender"}
+    rooms = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
+    assert rooms <= set(listed), f"README does not say what is in {sorted(rooms - set(listed))}"
+    back = {(name_of(path).split(".")[1], module.split(".")[1]) for path in FILES if path.parent != PACKAGE
+            for _, module in imports(path) if module.startswith("derender.")}  # fmt: skip
+    wrong = sorted(f"{one} imports {other}" for one, other in back & {(a, b) for a in listed for b in listed}
+                   if listed[one] < listed[other])  # fmt: skip
+    assert not wrong, wrong
 
 
 def test_imports_point_from_later_rooms_to_earlier():
