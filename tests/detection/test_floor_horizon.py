@@ -30,11 +30,10 @@ def test_the_far_floor_tells_its_tilt(view):
     assert found.inliers.mean() > 0.5
 
 
-@pytest.mark.parametrize("steep", [(50.0, 0.9, 59.5), (80.0, 0.9, 59.5)])
-def test_a_floor_seen_from_above_does_not_trade_its_tilt_for_a_blur(steep):
+def test_a_floor_seen_from_above_does_not_trade_its_tilt_for_a_blur():
     """It tells no blur, and the plane that went with less than none was kept: .05 degrees off, and a pallet a box."""
     for seed in range(4):
-        depth, camera, pose = before_horizon(*steep, seed=seed)
+        depth, camera, pose = before_horizon(50.0, 0.9, 59.5, seed=seed)
         found = under_its_noise(find_floor(depth, camera), depth, camera)
         assert tilt_off(found, pose) < 0.015  # a robust fit without weights leaves .005
 
