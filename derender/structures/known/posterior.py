@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,16 +21,17 @@ from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.results.posterior import StructurePosterior
 from derender.sampling.chains import Plan, run_chains
 from derender.scene.distributions import Distribution, distributions
-from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
+from derender.scene.graph import ROOT, SceneGraph, Vertex, floating, relative_pose
 from derender.scene.pose import from_axes
 from derender.scene.priors.objects import QUATERNION, ROTATION
-from derender.structures.known.identities import Placed, Placement, identity_probabilities, state_of
-from derender.structures.known.library import Known
+from derender.structures.known.identities import SHOWN, Placed, Placement, identity_probabilities, state_of
+from derender.structures.known.library import GAP, Known
 from derender.structures.parts import part_of, part_of_one
 
 Seen = Callable[[SceneGraph], ObservedImage]
 
 WARMUP = 400  # rounds of the chains before their first draw, in which steps shrink from centimetres to what images tell
+DIFFERENCE = 1e-6  # of a number of a contact, by which metres for each of it are told
 NEAR = 0.1  # metres along a floor from where an object was placed that it may be
 LEAST_LIKELY, MOST_STRUCTURES = 1e-3, 24  # share of the likeliest's weight that one told has; how many, at most
 UNKNOWN = "unknown"
@@ -154,7 +156,9 @@ def part_of_known(
     parents, bases = placement.parents(placed)
     placed = [replace(item, base=base) for item, base in zip(placed, bases, strict=True)]
     graph = graph_of(placed, parents, floor_pose, names)
-    laws = laws_of(graph, names, [name for name, item in zip(names, placed, strict=True) if item.known is None])
+    unknown = [name for name, item in zip(names, placed, strict=True) if item.known is None]
+    shown = np.bincount(placement.view(placed)[1].ravel() + 1, minlength=len(placed) + 1)[1:]
+    laws = laws_of(graph, names, unknown, [name for name, pixels in zip(names, shown, strict=True) if pixels < SHOWN])
     target = SceneTarget(Even(laws), graph, seen(graph))  # type: ignore[arg-type]
     start = np.array([value if period is None else value % period
                       for value, period in zip(target.values(graph), target.space.periods, strict=True)])  # fmt: skip
@@ -181,9 +185,13 @@ class Even(NamedTuple):
         return self.laws
 
 
-def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str]) -> dict[str, Distribution]:
+def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str], unseen: list[str]) -> dict[str, Distribution]:
     """Return what is believed of each free number of a scene: objects lie anywhere near, those of unknown sizes are as
-    large as the search takes them to be."""
+    large as the search takes them to be.
+
+    unseen : names of objects that are there because a grid has them, though nothing shows them: they stand where it has
+        them, off by no more than the gaps between its cartons.
+    """
     laws: dict[str, Distribution] = {}
     uniform, size = distributions["uniform"], distributions["log-normal"](TYPICAL_SIZE, SIZE_SPREAD)
     for vertex in (vertex for vertex in graph.vertices if vertex.name in placed):
@@ -196,7 +204,22 @@ def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str]) -> dict[st
                 continue  # how a can that carries nothing is turned about itself nothing tells
             bounded = math.isfinite(parameter.upper - parameter.lower)
             low, high = (parameter.lower, parameter.upper) if bounded else (value - NEAR, value + NEAR)
+            if name in unseen:
+                off, turns = GAP / metres_of(graph, vertex, parameter.name), graph.period(address) is not None
+                low, high = (value - off, value + off) if turns else (max(low, value - off), min(high, value + off))
             laws[address] = uniform(low, high)
         if vertex.contact.type == "6dof":
             laws[f"{name}.contact.{QUATERNION}"] = distributions["uniform-rotation"]()
     return laws
+
+
+def metres_of(graph: SceneGraph, vertex: Vertex, parameter: str) -> float:
+    """Return the metres by which the farthest point of an object moves where a number of its contact is one more."""
+    here = vertex.contact.values.get(parameter, 0.0)
+    moved = replace(
+        vertex, contact=replace(vertex.contact, values={**vertex.contact.values, parameter: here + DIFFERENCE})
+    )
+    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * vertex.body.size()
+    poses = [relative_pose(each, graph.body(vertex.parent)) for each in (vertex, moved)]
+    ends = [corners @ pose[:3, :3].T + pose[:3, 3] for pose in poses]
+    return float(np.linalg.norm(ends[1] - ends[0], axis=1).max()) / DIFFERENCE
