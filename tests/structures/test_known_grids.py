@@ -124,7 +124,7 @@ def test_a_grid_is_fitted_to_what_shows_of_it():
     shown = np.concatenate([corners(row) for row in truth])
     space = space_of(large((0.604, 0.752, 0.4)))
     least, cells = fitted(space, layout, misfit, np.zeros(3), np.array([0.0, -2.0, 1.0]))
-    assert least < 0.004 < misfit(cells_of(layout, numbers_of(space, layout), 0.0))
+    assert least < 0.0004 < misfit(cells_of(layout, numbers_of(space, layout), 0.0))
     assert np.abs(cells[:, 10:13] - truth[:, 10:13]).max() < 0.002
 
 
