@@ -11,6 +11,7 @@ from derender.detection.solids.image import make_row
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.support import standing_on
 from derender.scene.distributions import distributions
 from derender.scene.priors.bare_image import Loose
 from derender.scene.solids import BOX
@@ -90,3 +91,13 @@ def test_a_board_whose_foot_hides_is_not_surely_on_the_block():
     seen = make(np.random.default_rng([7303, list(KINDS).index("boards")]), "boards")
     found = infer_structure(seen.depth, seen.camera, Options(seed=7))
     assert found.parent_probability("box_2").get("floor", 0.0) > 0.01
+
+
+def test_of_tops_as_high_the_one_below_most_of_a_solid_is_what_it_stands_on():
+    """Cartons in a grid: of two flush tops the one that was a hair nearer counted, though only its rim was below."""
+    places = (0.0, 0.0, 0.1), (0.4, 0.0, 0.0999), (0.397, 0.0, 0.3)
+    rows = np.array([make_row(BOX, np.eye(3), place, np.array([0.4, 0.3, 0.2])) for place in places])
+    state = State(rows, [FREE] * 3, [False] * 3, [FLOOR] * 3, [0.0, 0.0, 0.2])
+    assert standing_on(state, 2) == (1, pytest.approx(0.1999))
+    rows[1, 12] -= 0.01  # a step down: what is left of it rests on the rim
+    assert standing_on(state, 2)[0] == 0

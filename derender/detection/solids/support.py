@@ -130,6 +130,7 @@ LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
 BESIDE = 2  # pixels between the rectangles of solids that may hide parts of each other
 
 
+WITHIN = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 7)] * 3), axis=-1).reshape(-1, 3)  # places, by a solid's extents
 OVERLAP = 0.002  # metres by which flush neighbours may seem to overlap from above
 
 
@@ -231,14 +232,16 @@ def assign_supports(image: Image, state: State, settings: "Settings", only: set[
 def standing_on(state: State, i: int, reach: float = 0.012) -> tuple[int, float]:
     """Return (parent, height) of what a solid that is not upright stands on; height NaN where it only leans."""
     row = state.rows[i]
-    low = lowest(row)
-    candidates = [(abs(low), FLOOR, 0.0)]
+    low, within = lowest(row), row[10:13] + WITHIN * row[13:16] @ rotation_of(row).T
+    candidates = [(abs(low), FLOOR, 0.0, 1.0)]
     for j in range(len(state)):
         if j != i and flat_top(state.rows[j]) and shadows_overlap(row, state.rows[j]):
             height = highest(state.rows[j])
-            candidates.append((abs(low - height), j, height))
-    gap, parent, height = min(candidates)
-    if gap < reach:
+            candidates.append((abs(low - height), j, height, share_over(within, state.rows[j])))
+    gap = min(candidates)[0]
+    if gap < reach:  # of tops that are as high, as those of cartons in a grid, the one below most of it
+        near = [each for each in candidates if each[0] < gap + TOUCHING]
+        _, parent, height, _ = max(near, key=lambda each: each[3])
         return parent, height
     leaning = [
         (-penetration(row, other), j) for j, other in enumerate(state.rows) if j != i and touches(row, other, reach)

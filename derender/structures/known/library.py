@@ -154,8 +154,8 @@ GAP = 0.006  # metres between neighbours, at most
 INEXACT = 0.01  # metres by which a large box's sides may be wrong
 LEVEL = 0.99  # cosine of the large box's tilt
 MOST = 64  # of cells
-# Metres by which a grid's faces are moved when it is fitted, coarse to fine: ten thousand pixels of a face tell where it
-# is to a thirtieth of a millimetre; one that was off by a quarter lost 14 nats to a single box in its place.
+# Metres by which a grid's faces are moved when it is fitted, coarse to fine: ten thousand pixels of a face tell its
+# place to a thirtieth of a millimetre; a grid that was off by a quarter lost 14 nats to a single box in its place.
 STEPS = 0.016 * 0.5 ** np.arange(10)
 
 
