@@ -290,10 +290,10 @@ def _one(
         click.secho(line, fg="red" if doubtful else None)  # in colour on a terminal alone
     talk.detail(outcome.details())
     talk.say(f"wrote {outcome.folder}/")
-    if outcome.interrupted:
-        return 130
     for line in outcome.verdict():
         talk.say(line, always=not outcome.trusted)
+    if outcome.interrupted:
+        return 130
     return 3 if strict and not outcome.trusted else None
 
 

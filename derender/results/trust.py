@@ -196,8 +196,10 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     told = [f"not to be trusted: {doubt.words}" for doubt in doubts if doubt.serious]
     notes = [f"worth knowing: {doubt.words}" for doubt in doubts if not doubt.serious]
     r_hats, counts = ([row[key] for row in rows if np.isfinite(row[key])] for key in ("r_hat", "ess_bulk"))
-    if told or not rows or any(map(doubtful, rows)):
+    if told:
         return told + notes
+    if not rows or any(map(doubtful, rows)):
+        return [*notes, f"nothing {'serious ' if notes else ''}speaks against this scene"]
     if not r_hats or not counts:  # no two chains to compare
         return ["nothing speaks against this scene; without draws nothing tells how sure it is", *notes]
     largest, smallest = limits(rows[0]["draws"].size)

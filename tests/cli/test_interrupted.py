@@ -45,7 +45,7 @@ def test_the_best_scene_so_far_is_written(image, tmp_path, monkeypatch, place, n
     monkeypatch.setattr(place, name, interrupted)
     out = tmp_path / "out"
     result = CliRunner().invoke(command, [str(image), "-o", str(out)], catch_exceptions=False, standalone_mode=False)
-    assert result.return_value == 130
+    assert result.return_value == 130 and "not to be trusted: it was interrupted" in result.stderr
     summary = json.loads((out / "summary.json").read_text())
     assert summary["interrupted"] is True and summary["trusted"] is False
     assert any("interrupted" in doubt for doubt in summary["doubts"])
