@@ -139,14 +139,16 @@ COARSE = 0.1  # standard error from which on one digit has to do
 
 
 def probability_text(probability: float, error: float = 0.0, interval: tuple[float, float] | None = None) -> str:
-    """Return a probability in words: ".93 (.88-.96)", ">.99", "<.01".
+    """Return a probability in words: ".93 (.88-.96)", ".97 (.90 to >.99)", ">.99".
 
     error : its standard error. interval : in which it lies with 90 %; None: by the error.
     """
     low, high = (probability - 1.64 * error, probability + 1.64 * error) if interval is None else interval
     low, high = max(low, 0.0), min(high, 1.0)
     text = digits(probability, 1 if error >= COARSE else 2)
-    return f"{text} ({digits(low)}-{digits(high)})" if high - low >= OPEN else text
+    ends = digits(low), digits(high)
+    between = " to " if {"<", ">"} & set("".join(ends)) else "-"
+    return f"{text} ({between.join(ends)})" if high - low >= OPEN else text
 
 
 def digits(probability: float, count: int = 2) -> str:

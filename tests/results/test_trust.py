@@ -86,7 +86,8 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
     (note,) = chain_doubts(seen_by_a_sensor(0.003), rows)
     assert not note.serious and not note.about
     assert "leave 0.5 mm open" in note.words  # of 1 mm, by as good as three independent draws
-    assert verdict((note,), rows) == [f"worth knowing: {note.words}"]
+    assert verdict((note,), rows) == [f"worth knowing: {note.words}", "nothing serious speaks against this scene"]
+    assert verdict((), ()) == ["nothing speaks against this scene"]
     (doubt,) = chain_doubts(seen_by_a_sensor(0.0004), rows)  # faces are off by less than the chains
     assert doubt.about == {"box_1"} and not doubt.serious  # what there is, and where, they tell
     (doubt,) = chain_doubts(seen_by_a_sensor(0.0), rows)  # of an image that a model drew
@@ -152,13 +153,14 @@ def test_what_is_worth_knowing_comes_last_and_harms_nothing():
     "probability, error, interval, text",
     [
         (0.93, 0.02, (0.88, 0.96), ".93 (.88-.96)"),
+        (0.97, 0.02, (0.89, 0.999), ".97 (.89 to >.99)"),
         (0.93, 0.001, None, ".93"),
         (1.0, 0.0, None, ">.99"),
         (0.9912, 0.0, None, ">.99"),
         (0.0004, 0.0, None, "<.01"),
-        (0.0, 0.02, (0.0, 0.06), "<.01 (<.01-.06)"),
+        (0.0, 0.02, (0.0, 0.06), "<.01 (<.01 to .06)"),
         (0.62, 0.15, (0.37, 0.83), ".6 (.37-.83)"),
-        (0.97, 0.12, (0.7, 1.0), ">.9 (.70->.99)"),
+        (0.97, 0.12, (0.7, 1.0), ">.9 (.70 to >.99)"),
         (0.5, 0.1, None, ".5 (.34-.66)"),
     ],
 )
