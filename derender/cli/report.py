@@ -77,6 +77,11 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
         names = Path(str(posterior.meta.get("image", names))).name
     told = read_explained(place, image[1].shape) if place and image is not None else None
     facts = {"chains of": f"{len(found)} runs"} if len(found) > 1 else {}
+    if (
+        posterior is not None
+        and len({each.posterior.best_part.values.shape[1] for each in found if each.posterior}) > 1
+    ):
+        facts["draws of each chain"] = f"{posterior.best_part.values.shape[1]}: all are cut to the shortest"
     report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)
     if place is None:
         return report, first.name

@@ -364,7 +364,7 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
 
     names : of the runs, for what is said of them.
 
-    Raises DerenderError : their unknowns differ.
+    Raises DerenderError : their unknowns differ, or one is a single scene.
     """
     parts = [posterior.best_part for posterior in posteriors]
     first = parts[0]
@@ -372,6 +372,8 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
         if part.addresses != first.addresses:
             raise DerenderError(f"its structure or unknowns are not those of {names[0]}", name,
                                 "report them one by one")  # fmt: skip
+        if len(posteriors) > 1 and part.log_density.size == 1:
+            raise DerenderError("it is one scene and no chains", name, "report it by itself")
     draws = min(part.values.shape[1] for part in parts)
     runs = [as_seen_from(first, part).arrays for part in parts]
     joined: dict[str, Any] = {name: np.concatenate([run[name][:, :draws] for run in runs])

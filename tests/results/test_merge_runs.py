@@ -36,6 +36,13 @@ def test_other_unknowns_are_refused_by_name():
         merge_runs([one, other], ("first", "second"))
 
 
+def test_a_single_scene_is_not_put_together_with_chains():
+    """All chains were cut to one draw, and its ranges told as a posterior's."""
+    chains, scene = run(np.eye(4), np.ones((2, 9, 3))), run(np.eye(4), np.ones((1, 1, 3)))
+    with pytest.raises(DerenderError, match="second: it is one scene and no chains"):
+        merge_runs([chains, scene], ("first", "second"))
+
+
 @pytest.mark.parametrize("wandering", [False, True], ids=["fixed", "wandering"])
 def test_a_floor_found_elsewhere_changes_no_pose(wandering):
     """Two runs whose floors have other origins and turns agree about where the box is, or they are called apart.
