@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from derender.camera.depth_file import DepthImage as DepthImage
     from derender.camera.depth_file import read_depth as read_depth
     from derender.camera.intrinsics import Camera as Camera
+    from derender.errors import DerenderError as DerenderError
     from derender.interface.functions import infer as infer
     from derender.interface.functions import load as load
     from derender.interface.functions import render as render
@@ -37,6 +38,7 @@ PLACES = {
     **dict.fromkeys(("infer", "load", "render", "sample", "simulate"), "interface.functions"),
     **dict.fromkeys(("DepthImage", "read_depth"), "camera.depth_file"),
     "Camera": "camera.intrinsics", "Posterior": "interface.posterior", "Scene": "interface.scene",
+    "DerenderError": "errors",
 }  # fmt: skip
 
 
@@ -64,7 +66,7 @@ sys.modules[__name__].__class__ = _Package
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "data_path", "__version__"])
+    return sorted([*__all__, "DerenderError", "data_path", "__version__"])
 
 
 def data_path(name: str) -> Path:

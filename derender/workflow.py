@@ -257,7 +257,8 @@ def infer_image(
         from derender.physics.constraint import assume_stable
 
         posterior, share = assume_stable(posterior)
-        warn(f"given that the scene stands, {share:.0%} of the posterior is left")
+        if share < 1.0:
+            warn(f"given that the scene stands, {share:.0%} of the posterior is left")
     lost = posterior.meta.get("lost_chains", {})
     for number, why in lost.items():
         warn(f"chain {number} was lost: {why.strip().splitlines()[-1]}")

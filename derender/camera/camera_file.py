@@ -398,7 +398,8 @@ def _bop(frame: Mapping[str, Any]) -> np.ndarray:
 def _of_images(found: list[Any] | dict[str, Any], images: Sequence[str]) -> np.ndarray:
     if isinstance(found, list):
         if len(found) != len(images):
-            what = f"there are {len(found)} poses for {len(images)} images"
+            poses = "is 1 pose" if len(found) == 1 else f"are {len(found)} poses"
+            what = f"there {poses} for {len(images)} images"
             raise DerenderError(what, remedy="give one for each image, in the order of the images, or name them")
         return np.array([_matrix(pose, f"pose {k + 1}") for k, pose in enumerate(found)])
     keys = {Path(name).stem: name for name in found}

@@ -137,7 +137,11 @@ def read_tilt(text: str) -> tuple[float, np.ndarray]:
     angle, _, way = text.partition(":")
     value = _quantity(angle, "rad", f"--tilt {text}")
     if not 0 <= value <= np.pi / 2:
-        raise DerenderError("the tilt is not between 0 and 90 degrees", f"--tilt {text}", "write 10deg or 10deg:-y")
+        raise DerenderError(
+            "the tilt is not between 0 and 90 degrees",
+            f"--tilt {text}",
+            "write 10deg or 10deg:-y: without a unit it is in radians",
+        )
     return value, _direction(way or "+x", f"--tilt {text}")
 
 

@@ -118,6 +118,8 @@ def check_fit(
     valid = np.isfinite(observed)
     if not valid.any():
         return ()
+    # Without a floor, as someone may ask for, what stands on it is cut into boxes whose angles tell nothing.
+    floors = [vertex for vertex in graph.vertices if vertex.body.size() is None]
     doubts = [
         *beside(graph, fit, unexplained(fit, valid)),
         *beside(graph, fit, off_by_more_than_noise(spots, fit, valid)),
@@ -125,7 +127,7 @@ def check_fit(
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
-        *wrong_focal_length(faces_of(graph, fit, camera, observed), camera, given),
+        *(wrong_focal_length(faces_of(graph, fit, camera, observed), camera, given) if floors else []),
         *unborne_solids(graph, fit, valid),
         *nothing_but_a_plane(graph, fit, camera, observed),
     ]

@@ -119,7 +119,7 @@ def track_to_folder(
     title = f"Track of {Path(sources[0]).name}"
     page = report_page(track, frames, film.camera, events, title)
     write_track(folder, track, page, {"seed": options.seed, "command": command})
-    say(f"{len(frames)} frames in {time.monotonic() - started:.1f} s")
+    say(f"{len(frames)} frame{'s' * (len(frames) != 1)} in {time.monotonic() - started:.1f} s")
     return Outcome(track, folder, events)
 
 
