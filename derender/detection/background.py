@@ -40,6 +40,7 @@ FOOT = 0.03  # metres over the support that what a body shows in a column may en
 STANDS = 0.6  # share of its columns in which a body ends at its foot from which on it shows that it stands
 DOWN = 0.75  # of its top's height over the support, how much a body shows at least that comes down to it
 LARGE = 0.02  # share of the pixels with a depth: what shows in less, cut off by the border, is a detail
+SIDES = 0.5  # level part of the unit sight line, from which on sides show at more than half of their height
 FLAT, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level top with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
@@ -94,7 +95,8 @@ def standing_bodies(
                 stand_free(shares) & (np.bincount(piece[piece >= 0], minlength=pieces) >= PIECE)
             ):
                 part = piece == number
-                if length(points[part]) < LARGEST and comes_down(points[part]) and stands(part):
+                reaches = comes_down(points[part]) or not sides_show(points[part] - surface.origin)
+                if length(points[part]) < LARGEST and reaches and stands(part):
                     standing[part] = True
     return standing
 
@@ -176,6 +178,12 @@ def comes_down(points: np.ndarray) -> bool:
     arm hangs over the support, and so does what is on a wall."""
     low, top = ends_of(points[:, 2:], ENDS).ravel()
     return bool(top - low > DOWN * top)
+
+
+def sides_show(sight: np.ndarray) -> bool:
+    """Return whether what is looked at along sight lines (K, 3) would show its sides, did they go down to what is below
+    it: of what lies in a bin one sees from above the tops alone, and that what bears them ends there tells nothing."""
+    return bool(np.median(np.linalg.norm(sight[:, :2], axis=1) / np.linalg.norm(sight, axis=1)) > SIDES)
 
 
 def is_background(

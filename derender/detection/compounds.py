@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from derender.detection.background import sides_show
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.outline import ends_of, vertical_axis
 from derender.detection.patches import SeenSurface
@@ -37,7 +38,6 @@ TILTED = np.cos(np.radians(10.0))  # of a solid's axis nearest to the vertical: 
 NECK, COAXIAL = 0.6, 0.5
 PART = 0.05  # of a solid's pixels, in how many a part of it shows at least: sensors leave less along a silhouette
 SAME_WIDTH = 1.1  # of a cylinder's radius: what stands on it and is wider is no part of it
-SIDES = 0.5  # level part of the unit sight line, from which on sides show at more than half of their height
 HANGS = 0.15  # of its height, how far over what it could stand on the lowest point of a part is seen
 # Twice the sine of half the angle by which a surface turns at a convex edge at least: less is the noise of normals,
 # or a silhouette that a smoothed image lets go over into the flat behind it.
@@ -146,7 +146,7 @@ def part_of_another(
         small = mask.sum() < HANDLE * (piece == other).sum()
         borne = k >= len(state) <= other and small  # a head, by its neck
         onward = much and touched[other] > JOINT * outline and (borne or turned[other] > -TURN * touched[other])
-        told = small or sides_show(seen, mask)
+        told = small or sides_show(seen.points[mask] - seen.image.origin)
         if onward and told and hangs(seen, state.without(k) if k < len(state) else state, mask):
             return k, other
     return None
@@ -353,13 +353,6 @@ def hangs(seen: Observation, state: State, mask: np.ndarray) -> bool:
     low, high = ends_of(points[:, 2:], ENDS)[:, 0]
     beyond = outline_shares(seen.surface, np.where(mask, 0, -1).astype(np.int32), 1)[0]
     return low - support_of(points, state)[1] >= HANGS * (high - low) and beyond[NEARER] <= HIDDEN
-
-
-def sides_show(seen: Observation, mask: np.ndarray) -> bool:
-    """Return whether what is looked at in a mask (H, W) would show its sides, did they go down to what is below it: of
-    things thrown into a bin one sees from above the tops alone, and that what bears them ends there tells nothing."""
-    sight = seen.points[mask] - seen.image.origin
-    return bool(np.median(np.linalg.norm(sight[:, :2], axis=1) / np.linalg.norm(sight, axis=1)) > SIDES)
 
 
 def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: np.ndarray) -> bool:

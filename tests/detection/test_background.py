@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
-from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, main_part, shows_foot
+from derender.detection.background import (
+    along_edge,
+    cut_off,
+    frame_seen,
+    is_background,
+    length,
+    main_part,
+    shows_foot,
+    standing_bodies,
+)
 from derender.detection.compounds import with_borne
 from derender.detection.floor import local_noise
 from derender.detection.patches import SeenSurface
@@ -135,6 +144,20 @@ def test_what_has_grown_together_with_the_background_belongs_to_it():
     behind[27:40, 40:60] = True
     surface.points[:, 40:, 2] = 0.1
     assert not is_background(surface, mask, upright, behind, inside, frame)  # the wall is ten centimetres behind it
+
+
+@pytest.mark.parametrize(("eye", "stands"), [((0.4, 0.3, 0.9), True), ((-0.9, 0.3, 0.5), False)])
+def test_a_carton_against_a_bins_wall_stands_where_its_sides_would_not_show_from_above(eye, stands):
+    """Of a carton seen from above the top alone shows: it was taken for what hangs on the wall, without a word."""
+    row, column = np.indices((60, 80))
+    height = 0.015 * np.maximum(column - 40, 0)
+    carton = (abs(row - 25) < 6) & (column >= 35) & (column < 44)
+    points = np.stack([0.01 * column, 0.01 * row, np.where(carton, 0.05, height)], axis=-1)
+    even = np.full(row.shape, 0.01)
+    surface = SeenSurface.of(points, even > 0.0, even, 0.0 * even, np.array(eye))
+    nothing = np.zeros(row.shape, bool)
+    found = standing_bodies(surface, points[..., 2] > 0.005, 0.01 * (column - 44.0), nothing)
+    assert (found[carton].mean() > 0.8) == stands == found.any() and not found[~carton].any()
 
 
 def test_what_the_side_of_the_image_cuts_as_a_hand_belongs_to_it():
