@@ -291,10 +291,17 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
 
     keep, shown = set(), good & (misfit < LIMIT)
     things = np.any([gone, *masks], axis=0)
+    left = seen.mask & ((label < 0) | (misfit >= LIMIT)) & ~things
+
+    def whole(mask):
+        """Return what a solid shows, with what goes on from there and nothing explains: a foot that it does not fit."""
+        body, _ = label_bodies(seen.points, mask | left, seen.surface.jump)
+        return np.isin(body, body[mask])
+
     for k in range(len(state)):
         mask = shown & (label == k)
         seen_there = silhouette(image, state, k) & ~things & ((label < 0) | (label == k))
-        if mask.sum() < LEAST_SHOWN * seen_there.sum() or goes(mask):
+        if mask.sum() < LEAST_SHOWN * seen_there.sum() or (goes(mask) and goes(whole(mask))):
             gone |= mask
         else:
             keep.add(k)

@@ -103,6 +103,16 @@ def test_a_solid_of_which_hardly_anything_is_seen_is_there_by_chance():
     assert there.behind[right & ~hole].mean() > 0.8
 
 
+def test_a_solid_is_background_only_with_what_nothing_explains_below_it():
+    """The image's border cut a drawer unit: over its unexplained foot as a box it was a wall, as a thing an object."""
+    image = seen_on_the_table([(BOX, 0.28, -0.05, (0.16, 0.12, 0.24), None)])
+    seen = observe(image, CAMERA)
+    place = np.linalg.inv(seen.floor.pose) @ TABLE @ translation(0.28, -0.05, 0.15)
+    upper = make_row(BOX, place[:3, :3], place[:3, 3], np.array([0.16, 0.12, 0.18]))
+    _, kept, _ = without_background(seen, State().add(upper, FREE, False), [])
+    assert len(kept) == 1
+
+
 def test_a_thing_has_the_low_parts_that_it_goes_on_into():
     """Of a torch on a bin's rough floor half was the floor."""
     height = np.zeros((30, 40))
