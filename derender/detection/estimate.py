@@ -142,7 +142,7 @@ def on_one_floor(
         masks += more
         if more and len(state):
             state = settle(rng, image, state, settings)
-        state, more, clutter = leftovers(rng, seen, state, settings)
+        seen, state, more, clutter = leftovers(rng, seen, state, settings)
         masks += more
         if seen.correlation > CORRELATED:
             seen, state, masks = without_background(seen, state, masks)

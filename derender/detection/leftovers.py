@@ -53,17 +53,18 @@ ROUNDS, YAWS, FINISHED = 200, 6, 3
 
 def leftovers(
     rng: np.random.Generator, seen: Observation, state: State, settings: Settings
-) -> tuple[State, list[Any], list[Any]]:
-    """Return (State, [mask], [mask]) with what is clearly over the support and not explained yet: first objects,
-    then what seems to be clutter.
+) -> tuple[Observation, State, list[Any], list[Any]]:
+    """Return (Observation, State, [mask], [mask]) with what is clearly over the support and not explained yet: first
+    objects, then what seems to be clutter.
 
-    The image is changed as by `take_things`.
+    The image is changed as by `take_things`. What seems to be a seam along a silhouette stays as it is, with how
+    probable it is an object after all.
     """
     from scipy.ndimage import binary_erosion
 
-    image, found, clutter = seen.image, [], []
+    image, found, clutter, seams = seen.image, [], [], []
     if settings.temper == 1.0 or not seen.mask.any():
-        return state, found, clutter
+        return seen, state, found, clutter
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
     cost = cost_of(seen, settings.believed.loose.things)
@@ -77,8 +78,10 @@ def leftovers(
         gain = float(misfit[mask].sum())
         if high[2] <= max(LEAST_HEIGHT * seen.scale, settings.uneven) or max(high[:2] - low[:2]) >= LARGEST:
             continue
-        exists = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
-        if not exists and (binary_erosion(whole) & left).sum() < INNER * mask.sum():  # a seam along a silhouette
+        probability, _ = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
+        exists = probability > LEAST_EXISTENCE
+        if not exists and (binary_erosion(whole) & left).sum() < INNER * mask.sum():
+            seams.append((mask, probability))
             continue
         part = None if exists else goes_on_from(seen, state, mask)
         if exists and goes_on(seen.surface, mask, shows, cost.normal):
@@ -99,7 +102,7 @@ def leftovers(
                 continue
         (found if exists else clutter).append(mask)
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
-    return state, found, clutter
+    return seen._replace(clutter=tuple(seams)), state, found, clutter
 
 
 def with_solid(

@@ -123,7 +123,7 @@ def likely_things(
     seen: Observation, state: State, masks: list[np.ndarray], settings: Settings
 ) -> tuple[Observation, list[Thing]]:
     """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen."""
-    behind, found = seen.behind.copy(), []
+    behind, found, clutter = seen.behind.copy(), [], []
     taken = np.any([held_out(seen.image, state, -1)[1] >= 0, *masks], axis=0)
     for mask in masks:
         if seen.correlation > CORRELATED:
@@ -133,9 +133,10 @@ def likely_things(
         existence = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
         if existence[0] < LEAST_EXISTENCE:
             behind |= mask
+            clutter.append((mask, existence[0]))
         else:
             found.append(made_thing(seen, state, mask, existence))
-    return seen._replace(behind=behind), found
+    return seen._replace(behind=behind, clutter=(*seen.clutter, *clutter)), found
 
 
 def low_parts(seen: Observation, mask: np.ndarray, taken: np.ndarray) -> np.ndarray:

@@ -88,8 +88,8 @@ def report_of(
         meta = {} if posterior is None else posterior.meta
         fit = fit_of(graph, camera, observed, likelihood or {}, told, meta.get("noise", 0.0))
         given = meta.get("faces", 0.0) > 0.0 and not meta.get("camera_guessed")
-        spots = meta.get("spots", ())
-        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, spots, given))
+        seen = meta.get("spots", ()), given, meta.get("clutter", ())
+        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, *seen))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)

@@ -16,7 +16,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
-from derender.results.trust import LETTERS, Doubt, Region
+from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
 from derender.scene.polygon import convex_outline, outline_planes
 
@@ -106,6 +106,7 @@ def check_fit(
     likelihood: Mapping[str, Any],
     spots: Sequence[Sequence[float]] = (),
     given: bool = False,
+    clutter: Sequence[Sequence[float]] = (),
 ) -> tuple[Doubt, ...]:
     """Return the doubts that an image raises about what was found in it, the serious ones first.
 
@@ -114,6 +115,8 @@ def check_fit(
     likelihood : numbers of the likelihood that was fitted, by name.
     spots : where the scene explains less than noise leaves: first and last row and column, as shares of the image.
     given : whether a real sensor took it, going by its noise, and a person said with which focal length.
+    clutter : of what is not told, for it is likelier clutter than an object, the probability that it is one, and
+        where it is, as in `spots`.
     """
     valid = np.isfinite(observed)
     if not valid.any():
@@ -123,6 +126,7 @@ def check_fit(
     doubts = [
         *beside(graph, fit, unexplained(fit, valid)),
         *beside(graph, fit, off_by_more_than_noise(spots, fit, valid)),
+        *may_be_objects(clutter, valid),
         *beside(graph, fit, background_over_floor(graph, fit, camera, observed)),
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
@@ -165,16 +169,30 @@ def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np
 
     (Of 107 answers to images of white noise 15 had such: 13 of these were wrong, of the other 92 nine.)
     """
-    regions = []
-    for letter, place in zip(LETTERS, spots, strict=False):
-        top, bottom, left, right = np.round(np.multiply(place, np.repeat(valid.shape, 2))).astype(int)
-        mask = np.zeros(valid.shape, bool)
-        mask[top:bottom, left:right] = True
-        if fit.background[mask].mean() < 0.5:
-            regions.append(Region(letter, mask, float(mask[valid].mean())))
+    regions = [region for region in windows(spots, valid) if fit.background[region.mask].mean() < 0.5]
     where = " and ".join(region.where for region in regions)
     words = f"what is seen {where} is not where this scene has it, by more than its noise"
     return [Doubt(words, True, tuple(regions))] if regions else []
+
+
+def may_be_objects(clutter: Sequence[Sequence[float]], valid: np.ndarray) -> list[Doubt]:
+    """Return doubts about what is not told though it may as well be an object."""
+    likely = [(probability, place) for probability, *place in clutter if probability > MAY_EXIST]
+    regions = windows([place for _, place in likely], valid)
+    words = "what is seen {} is an object with a probability of {:.2f}, and is not told"
+    return [Doubt(words.format(region.where, probability), True, (region,), about=())
+            for (probability, _), region in zip(likely, regions, strict=False)]  # fmt: skip
+
+
+def windows(places: Sequence[Sequence[float]], valid: np.ndarray) -> list[Region]:
+    """Return the Regions between first and last rows and columns, as shares of the image; valid : (H, W) bool."""
+    regions = []
+    for letter, place in zip(LETTERS, places, strict=False):
+        top, bottom, left, right = np.round(np.multiply(place, np.repeat(valid.shape, 2))).astype(int)
+        mask = np.zeros(valid.shape, bool)
+        mask[top:bottom, left:right] = True
+        regions.append(Region(letter, mask, float(mask[valid].mean())))
+    return regions
 
 
 def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:

@@ -43,6 +43,7 @@ APART = 5.0  # nats between the evidences of populations that a few lucky partic
 # Probability that each free-form thing of a trusted answer is an object, and that a trusted thing is one: of objects in
 # answers without a lesser thing .97 were there (106 answers to labelled real frames; .94 of all), of such things .97.
 LEAST_EXISTENCE, SURE_EXISTENCE = 0.6, 0.75
+MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely as not, within the probability's error
 MOST_NONE, FEW = 1.0, 0.05  # objects, and share of them, of which as many may be expected to be none
 FITS = 4.0  # standard deviations by which noise alone hardly ever leaves an image less likely than others of its scene
 OFF = 0.1  # of an object's length: by less a real sensor tells its place, and what there is (an IoU of .8)

@@ -30,6 +30,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     """Return the Posterior of the structures: what explains each pixel, and how probably something was missed."""
     from derender.results.posterior import Posterior
     from derender.structures.free_forms import thing_name
+    from derender.structures.unexplained import place_of
 
     seen = looks[0].seen
     things = [thing for each in observations for thing in each.things]
@@ -41,6 +42,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
             "no_floor": seen.no_floor, "interrupted": interrupted,
             "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
             "hidden_expected": extras.get("hidden_expected"), "spots": extras.get("spots", []),
+            "clutter": [(p, *place_of(mask)) for each in observations for mask, p in each.clutter],
             "likelihood": likelihood_of(parts, observations, case)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=case.options.seed, meta=meta)
     graph = posterior.best_graph()

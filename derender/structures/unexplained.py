@@ -49,9 +49,14 @@ class Spot(NamedTuple):
 
     @property
     def place(self) -> list[float]:
-        """The first and the last row and column of those pixels, as shares of the image's height and width."""
-        ends = np.array([[each.min(), each.max() + 1] for each in np.nonzero(self.shown)])
-        return (ends / np.array(self.shown.shape)[:, None]).ravel().tolist()
+        """Where its pixels lie, see `place_of`."""
+        return place_of(self.shown)
+
+
+def place_of(mask: np.ndarray) -> list[float]:
+    """Return the first and the last row and column of a mask (H, W), as shares of the image's height and width."""
+    ends = np.array([[each.min(), each.max() + 1] for each in np.nonzero(mask)])
+    return (ends / np.array(mask.shape)[:, None]).ravel().tolist()
 
 
 def nearer_than_explained(best: Refined) -> np.ndarray:

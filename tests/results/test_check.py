@@ -85,6 +85,15 @@ def test_windows_that_noise_does_not_explain_are_told():
     assert check_fit(TRUE, fit, CAMERA, seen, LIKELIHOOD, [[0.1, 0.2, 0.75, 0.8]]) == ()
 
 
+def test_what_is_as_likely_an_object_as_not_and_is_not_told_is_doubted():
+    seen = image(TRUE)
+    fit, place = fit_of(TRUE, CAMERA, seen, LIKELIHOOD), [0.8, 0.9, 0.1, 0.2]
+    (doubt,) = check_fit(TRUE, fit, CAMERA, seen, LIKELIHOOD, clutter=[[0.48, *place], [0.2, 0.1, 0.2, 0.1, 0.2]])
+    assert doubt.serious and "below and left of the middle is an object with a probability of 0.48" in doubt.words
+    assert not doubt.about and doubt.regions[0].mask.sum() == 12 * 16
+    assert check_fit(TRUE, fit, CAMERA, seen, LIKELIHOOD, clutter=[[0.4, *place]]) == ()
+
+
 def test_a_solid_that_is_not_there_is_told():
     (doubt,) = [d for d in doubts_of(TRUE, image(TRUE.remove("right"))) if d.words.startswith("right ")]
     assert doubt.serious and "explains" in doubt.words

@@ -115,6 +115,7 @@ class Observation(NamedTuple):
     no_floor: bool = False
     bend: np.ndarray | None = None
     things: tuple = ()
+    clutter: tuple = ()  # ((H, W) bool, probability): what is none of them, though it may be one
     interrupted: bool = False  # whether the search that looked at it was, so that what it found is the best so far
     agreed: bool = True  # whether two searches found the same
     wall: float | None = None  # metres to the one depth that lies behind everything, Eq. 6; None: none is seen
