@@ -195,7 +195,8 @@ def is_background(
     frame: tuple[int, int, int, int],
 ) -> bool:
     """Return whether what shows as one solid is a piece of the background: cut off by the image's border as a wall or a
-    hand is, grown together with what is background, or on the very edge of the support, where a bin's wall begins.
+    hand is, grown together with what is background, on the very edge of the support, where a bin's wall begins, or
+    along it, as a wall of which something hides a part.
 
     surface : see `standing_bodies`. mask : (H, W) bool, the pixels that show it. normal : (H, W, 3). behind : those of
     the background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
@@ -203,7 +204,7 @@ def is_background(
     points = surface.points
     cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
     cut = cut and not shows_foot(surface, mask, beyond)
-    if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY:
+    if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY or along_edge(points[mask], beyond[mask]):
         return True
     outline, joined = np.zeros(mask.shape, bool), np.zeros(mask.shape, bool)
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):

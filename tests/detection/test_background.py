@@ -168,6 +168,15 @@ def test_what_the_side_of_the_image_cuts_as_a_hand_belongs_to_it():
     assert not is_background(surface, np.roll(mask, -5, axis=1), upright, nothing, inside, (0, 59, 0, 79))
 
 
+@pytest.mark.parametrize(("columns", "wall"), [(50, True), (30, False)])
+def test_a_solid_that_is_long_and_stands_along_the_edge_of_the_floor_is_the_wall_of_a_bin(columns, wall):
+    """Of a wall that a mug before it hid in part, the rest was a sheet, which leant on the mug: a box at P .94."""
+    surface, mask, nothing = flat_surface(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    mask[20:24, 15 : 15 + columns] = True
+    near_the_edge, upright = np.full((60, 80), -0.02), np.zeros_like(surface.points)
+    assert is_background(surface, mask, upright, nothing, near_the_edge, (0, 59, 0, 79)) == wall
+
+
 def with_a_front(side, rows, bottom=0.0):
     """Return (SeenSurface, mask) of a plane with an upright front of so many rows before it, cut by the top or right
     border, that begins so many metres over the plane."""
