@@ -85,6 +85,7 @@ def evaluators(given):
     """Return what measures each set that has a script of its own, by name, to be imported when it is asked for."""
     kinds, films = tuple(filter(None, given.kinds.split(","))), (given.n, given.first, given.sensor)
     options, verbose = Options(method=given.method), given.verbose
+    seen = given.motion, tuple(int(side) for side in given.size.split("x")), given.fps
 
     def of(module, function, *arguments):
         return lambda: getattr(importlib.import_module(module), f"evaluate_{function}")(*arguments)
@@ -93,7 +94,7 @@ def evaluators(given):
         "frames": of("evaluate_frames", "frames", given.only, given.kinds, given.keep, given.method, verbose),
         "floors": of("evaluate_frames", "floors", given.only, given.kinds, verbose),
         "whitening": of("evaluate_whitening", "whitening", given.only),
-        "tracking": of("tracking_figures", "tracking", *films, kinds or KINDS, verbose),
+        "tracking": of("tracking_figures", "tracking", *films, kinds or KINDS, verbose, *seen),
         "trust": of("evaluate_trust", "trust", given.n, given.first, verbose),
         "dynamics": of("dynamics_figures", "dynamics", *films, kinds, given.keep, verbose),
         "prediction": of("evaluate_prediction", "prediction", *films, kinds, given.keep),
@@ -115,6 +116,9 @@ def main():
     parser.add_argument("--method", default="auto")
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--sensor", default="kinect", help="of films")
+    parser.add_argument("--motion", type=float, default=0.0, help="metres a second that the camera of films moves")
+    parser.add_argument("--size", default="160x120", help="of the frames of tracked films, pixels")
+    parser.add_argument("--fps", type=float, help="of tracked films; default: 24 to 60, by kind")
     parser.add_argument("--kinds", default="", help="of films or variants, such as place,topple; default: all")
     parser.add_argument("--keep", default="", help="folder of results of films or frames that are not done again")
     parser.add_argument("--only", default="", help="of labelled frames, such as ycbv_0,tum_desk_1; default: all")

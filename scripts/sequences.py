@@ -26,7 +26,7 @@ from derender.cli import status_of  # noqa: E402
 from worlds.made_scenes import camera_of, look_at  # noqa: E402
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
-FRAMES, WIDTH, HEIGHT = 24, 160, 120
+FRAMES, SIZE = 24, (160, 120)
 STEP = 0.00025  # seconds
 GRAVITY = 9.81
 DENSITY = 500.0  # kg / m^3
@@ -299,25 +299,26 @@ def script(rng, kind, fps):
     return Film([mover, *others], friction, hand=pushing, pusher=radius), {"friction": friction}
 
 
-def make_sequence(rng, kind, sensor="kinect", motion=0.0):
+def make_sequence(rng, kind, sensor="kinect", motion=0.0, size=SIZE, fps=None):
     """Return (frames (T, H, W) float32, camera dict with fps and gravity, truth dict) of one sequence.
 
     sensor : a name of derender.camera.sensor, or "plain": 1 mm of white noise. motion : metres that the camera goes
-    round the scene in a second.
+    round the scene in a second. size : (width, height) in pixels. fps : frames a second; None: as the kind has it.
     """
     from worlds.made_scenes import render_floor_scene
 
     while True:
-        fps = float(rng.choice([24.0, 30.0, 30.0, 60.0] if kind in ("collide", "bounce", "topple") else [24.0, 30.0]))
-        film, parameters = script(rng, kind, fps)
-        poses, parents, velocities = film.run(fps)
+        usual = float(rng.choice([24.0, 30.0, 30.0, 60.0] if kind in ("collide", "bounce", "topple") else [24.0, 30.0]))
+        rate = fps or usual
+        film, parameters = script(rng, kind, rate)
+        poses, parents, velocities = film.run(rate)
         if "restitution" in parameters:
             parameters["restitution"] = film.restitution
         middle = poses[:, :, :3, 3].reshape(-1, 3).mean(0)
         distance, elevation = rng.uniform(0.65, 0.95), np.radians(rng.uniform(22, 50))
         view = look_at(rng, distance, elevation, middle)
-        camera = camera_of(WIDTH, HEIGHT)
-        views = [swung(view, middle, motion * t / fps / distance) for t in range(FRAMES)]
+        camera = camera_of(*size)
+        views = [swung(view, middle, motion * t / rate / distance) for t in range(FRAMES)]
         seen = [
             render_floor_scene(
                 [item["type"] for item in film.items], w @ p, [item["size"] for item in film.items], w, camera
@@ -356,10 +357,10 @@ def make_sequence(rng, kind, sensor="kinect", motion=0.0):
     materials = {"friction": film.friction, "restitution": parameters.get("restitution"), "masses": masses}
     gravity = (GRAVITY * turn @ film.down).tolist()
     truth = {
-        "objects": objects, "parameters": told, "materials": materials, "kind": kind, "fps": fps, "gravity": gravity,
+        "objects": objects, "parameters": told, "materials": materials, "kind": kind, "fps": rate, "gravity": gravity,
         "floor": view.tolist(), "views": [w.tolist() for w in views], "speeds": starts, "pixels": pixels.tolist(),
     }  # fmt: skip
-    return frames, {**camera, "fps": fps, "gravity": gravity}, truth
+    return frames, {**camera, "fps": rate, "gravity": gravity}, truth
 
 
 def named(kinds):

@@ -3,6 +3,8 @@
     python scripts/evaluate.py tracking                one film of each kind
     python scripts/evaluate.py tracking -n 6           six films of each kind
     python scripts/evaluate.py tracking --kinds place,topple --sensor realsense
+    python scripts/evaluate.py tracking --fps 10 --size 320x240     fewer frames a second, larger ones
+    python scripts/evaluate.py tracking --motion 0.1                the camera goes round the scene, metres a second
 
 Of an object-frame, the thing is lost where track.json has no pose or one off by more than LOST. A contact change is a
 frame in which the parent differs from that of the frame before; it is found where the same thing changes to the same
@@ -72,7 +74,7 @@ def hits(mine, true):
     return count
 
 
-def follow(frames, camera, truth, seed):
+def follow(frames, camera, seed, moving_camera):
     """Return (track, seconds of infer, seconds of each frame, seconds of a full likelihood, moving things a frame)."""
     seen = Camera(**{key: camera[key] for key in ("fx", "fy", "cx", "cy", "width", "height")})
     times = np.arange(len(frames)) / camera["fps"]
@@ -82,7 +84,8 @@ def follow(frames, camera, truth, seed):
     start = time.perf_counter()
     posterior = infer(film.frames[0], False)
     first, spent, moving = time.perf_counter() - start, [], []
-    recorder = Recorder(film.frames[0], seen, start_from(posterior, rng), film.gravity, 1 / camera["fps"])
+    recorder = Recorder(film.frames[0], seen, start_from(posterior, rng), film.gravity,
+                        1 / camera["fps"], moving_camera)  # fmt: skip
     for frame in film.frames[1:]:
         start = time.perf_counter()
         recorder.advance(frame)
@@ -99,7 +102,8 @@ def follow(frames, camera, truth, seed):
     def first_of(depth):
         return start_from(known.get(depth.tobytes()) or infer(depth, False), np.random.default_rng(seed))
 
-    best = Passes(film.frames, seen, film.gravity, 1 / camera["fps"], first_of, lambda d: infer(d, True)).best()
+    look = lambda depth: infer(depth, True)  # noqa: E731
+    best = Passes(film.frames, seen, film.gravity, 1 / camera["fps"], first_of, look, moving_camera).best()
     return best.track(times, film.names), first, np.array(spent), float(np.median(full)), np.array(moving)
 
 
@@ -155,8 +159,8 @@ def compare(track, truth):
     return row
 
 
-def evaluate_tracking(count, first, sensor, kinds, verbose):
-    """Make films, follow them, print the table."""
+def evaluate_tracking(count, first, sensor, kinds, verbose, motion, size, fps):
+    """Make films, follow them, print the table; motion, size, fps : as of `make_sequence`."""
     rows, ratios, likelihoods = {}, [], []
     print(
         "| kind | films | lost | error 95 %, mm | switched | F1 of contacts | true poses | coverage 90 % | ms a frame |"
@@ -165,8 +169,9 @@ def evaluate_tracking(count, first, sensor, kinds, verbose):
     for kind in kinds:
         all_rows, milliseconds = [], []
         for k in range(first, first + count):
-            frames, camera, truth = make_sequence(np.random.default_rng([k, KINDS.index(kind)]), kind, sensor)
-            track, seconds, spent, full, moving = follow(frames, camera, truth, k)
+            rng = np.random.default_rng([k, KINDS.index(kind)])
+            frames, camera, truth = make_sequence(rng, kind, sensor, motion, size, fps)
+            track, seconds, spent, full, moving = follow(frames, camera, k, motion > 0)
             all_rows.append({**compare(track, truth), "ideal": by_true_poses(truth)})
             milliseconds += (1e3 * spent).tolist()
             one = moving == 1

@@ -51,7 +51,7 @@ class Smoother:
                 if seen.states[k] in (STILL, MOVING):
                     self.poses[t, k], self.states[t, k] = inverse(seen.view) @ seen.poses[k], seen.states[k]
         self.movers = np.flatnonzero((self.states == MOVING).any(axis=0)).tolist()
-        self.before = [self._place(t) for t in range(len(self.rows))] if self.movers else []
+        self.before = [self._as_followed(t) for t in range(len(self.rows))] if self.movers else []
 
     def smooth(self) -> None:
         """Do all sweeps, and write what they find into the recorder's frames."""
@@ -78,6 +78,17 @@ class Smoother:
                     seen.poses[k], seen.states[k] = seen.view @ self.poses[t, k], self.states[t, k]
                     recorder.sizes[n][k] = self.tracker.things[k].size
             recorder.seen[n] = seen._replace(cost=seen.cost + change)
+
+    def _as_followed(self, t: int) -> float:
+        """Return the cost of frame t with the sizes that its recorder took things to have then."""
+        _, recorder, n = self.rows[t]
+        known = [thing.size for thing in self.tracker.things]
+        for thing, size in zip(self.tracker.things, recorder.sizes[n], strict=False):
+            thing.size = size
+        value = self._place(t)
+        for thing, size in zip(self.tracker.things, known, strict=True):
+            thing.size = size
+        return value
 
     def _place(self, t: int) -> float:
         """Draw frame t as it is known, compare it with its image, and return the cost."""

@@ -53,12 +53,14 @@ class Viewpoint(NamedTuple):
 
     view : (4, 4), world to camera. spread : (6, 6) covariance of its motion since the frame before.
     nats : against it, of the image, that motion and the resting things that wake if it is so. woken : these things.
+    price : the part of the nats that is not of the image.
     """
 
     view: np.ndarray
     spread: np.ndarray
     nats: float
     woken: list[int]
+    price: float
 
 
 class Tracker(Drawing):
@@ -81,7 +83,7 @@ class Tracker(Drawing):
         self.gravity, self.step = np.asarray(gravity, float), float(step)
         self.drift = np.eye(4)  # the camera's last motion, and its covariance: (6, 6) of a shift and a turn, its axes
         self.woken: list[int] = []  # resting things that have begun to move, where the camera moves
-        self.nats: float | None = None  # against its place then, see Viewpoint
+        self.price_of_motion = 0.0  # of the camera then, in nats, see Viewpoint
         self.drift_spread = np.diag(np.repeat(CAMERA_SPEED, 3) * step) ** 2
         self._refine_first()
         explained = np.abs(self.misfit.observed - self.misfit.blurred) < OFF * self.spread
@@ -309,7 +311,7 @@ class Tracker(Drawing):
             calm = [k for k in still if k not in best.woken]
             best = min([best, self._camera_by(calm)], key=lambda each: each.nats)
         self.drift, self.drift_spread = best.view @ inverse(self.view), best.spread
-        self.view, self.woken, self.nats = best.view, best.woken, best.nats
+        self.view, self.woken, self.price_of_motion = best.view, best.woken, best.price
         self.place()
         cost(self.misfit, self.poses, self.sizes)
 
@@ -340,14 +342,14 @@ class Tracker(Drawing):
         self.place()
         jump = self.view @ inverse(expected)
         off = np.concatenate([jump[:3, 3], rotation_vector(jump)])
-        nats, woken = self._freed()
-        nats += 0.5 * float(off @ precision @ off) + narrowed(information, curvature)
+        image, price, woken = self._freed()
+        price += 0.5 * float(off @ precision @ off) + narrowed(information, curvature)
         view, self.view = self.view, kept
-        return Viewpoint(view, about @ np.linalg.inv(curvature) @ about.T, nats, woken)
+        return Viewpoint(view, about @ np.linalg.inv(curvature) @ about.T, image + price, woken, price)
 
-    def _freed(self) -> tuple[float, list[int]]:
-        """Fit what moves, then what rests where the image says that it does so no more; return the nats of the image
-        and of these motions, and which things have woken."""
+    def _freed(self) -> tuple[float, float, list[int]]:
+        """Fit what moves, then what rests where the image says that it does so no more; return the nats of the image,
+        those of these motions, and which things have woken."""
         total, woken = 0.0, []
         for k in sorted(range(len(self.things)), key=lambda k: self.things[k].state == STILL):
             nats = float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper
@@ -367,7 +369,7 @@ class Tracker(Drawing):
             total += price
             if rests:
                 woken.append(k)
-        return total + float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper, woken
+        return float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper, total, woken
 
     def advance(self, depth: np.ndarray) -> Seen:
         """Follow everything into the next frame (H, W), metres, 0 or NaN where nothing returned."""
@@ -429,7 +431,7 @@ class Tracker(Drawing):
                 covariances[k] = self.turned(thing.covariance[:6, :6])
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
-        total = float(cost(self.misfit, self.poses, self.sizes)) if self.nats is None else self.nats * self.start.temper
+        total = float(cost(self.misfit, self.poses, self.sizes)) + self.price_of_motion * self.start.temper
         return Seen(
             poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs, total,
             int(np.count_nonzero(self.observed)),

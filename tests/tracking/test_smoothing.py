@@ -2,6 +2,7 @@
 
 import films
 import numpy as np
+import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
 from derender.tracking.passes import Pass, Passes
@@ -70,3 +71,22 @@ def test_what_rests_has_one_pose_nearer_to_the_truth_than_that_of_a_frame():
         assert len(resting) and np.ptp(resting, axis=0).max() == 0.0
         wandering.append((before, errors(track, poses)[-1, 0]))
     assert np.mean(wandering, axis=0)[1] < np.mean(wandering, axis=0)[0]
+
+
+def test_a_film_costs_what_its_images_cost_as_they_are_drawn_in_the_end():
+    """Frames were charged for sizes and places that nothing drew: a pass of a moving camera with a wrong size was
+    thousands of nats too cheap, and was kept in place of one that explains all images."""
+    frames, poses = slide(0)
+    off = np.array([0.008, -0.008, 0.0])
+    for moving_camera in (False, True):
+        recorder = Recorder(frames[0], CAMERA, start(["box"], [SIZE + off], poses[0]), GRAVITY, 1 / FPS, moving_camera)
+        for frame in frames[1:]:
+            recorder.advance(frame)
+        found = Pass(0, start(["box"], [SIZE + off], poses[0]), recorder, None)
+        smoother = Smoother(found, frames)
+        smoother.smooth()
+        drawn = sum(Smoother(found, frames).before)
+        if moving_camera:  # what is beyond its images' cost is that of the camera's motion
+            assert drawn < found.cost()
+        else:
+            assert found.cost() == pytest.approx(drawn, abs=1e-3)
