@@ -17,8 +17,8 @@ MOVED_RADIANS = 0.12
 # where it stands is as uncertain as tracking says.
 STRUCK_WITHIN = 0.005
 # Of two poses that are nearer than this (metres, and entries of the rotation), the second is the first one held: what
-# rests has one pose, from which it may have moved by so many metres as tracking does not tell from its jitter.
-REPEATED, HELD_WITHIN = 1e-9, 0.001
+# rests has one pose, from which it may have moved and turned by as much as tracking does not tell from its jitter.
+REPEATED, HELD_WITHIN, HELD_TURN = 1e-9, 0.001, 0.012
 
 
 class Motion(NamedTuple):
@@ -50,8 +50,18 @@ class Motion(NamedTuple):
 
     @property
     def fresh(self) -> np.ndarray:
-        """(T, N) bool, where a pose tells something: not between two others that are the same."""
-        between = self.held
+        """(T, N) bool, where a pose tells something: not between two others of one rest.
+
+        Tracking holds a pose some frames after a body has come to rest. In all frames of a rest outlines fall on the
+        same pixels, and its pose is wrong by the same: by how little it jitters there, it errs not while a body moves.
+        """
+        held = self.held
+        between, states = held.copy(), from_poses(np.where(self.seen[..., None, None], self.poses, np.eye(4)))
+        for k, frame in zip(*np.nonzero((held[1:] & ~held[:-1]).T), strict=True):  # the first frame of a held pose
+            far = np.abs(difference(states[frame, k], states[:frame, k]))
+            near = (far[:, :3] < HELD_WITHIN).all(axis=1) & (far[:, 3:6] < HELD_TURN).all(axis=1)
+            moves = np.flatnonzero(~(near & self.seen[:frame, k]))
+            between[(moves[-1] + 2 if len(moves) else 1) : frame + 1, k] = True
         between[:-1] &= between[1:]
         between[-1] = False
         return self.seen & ~between
