@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.dynamics.states import STATE, to_poses
+from derender.dynamics.states import STATE, to_poses, unturned
 from derender.physics.bodies import Matter
 from derender.physics.mujoco_model import Diverged, World
 
@@ -88,6 +88,7 @@ class Engine:
         self.interval = interval
         self.masses = np.array([body.weight_in_kg() for body in bodies[: len(names)]])
         self._names, self._bodies = names, bodies
+        self._balls = np.array([body.kind == "sphere" for body in bodies[: len(names)]], bool)
         self._steps = [int(np.ceil(interval / step / coarser)) for step in (LONGEST_STEP, IMPACT_STEP)]
         self._worlds = [self._world(matter, interval / count) for count in self._steps]
         self._masses: tuple = ()
@@ -156,6 +157,8 @@ class Engine:
         result[:, 3:7] = place[:, 3:]
         result[:, 7:10] = speed[:, :3] * (length / time)
         result[:, 10:] = speed[:, 3:] / time
+        if self._balls.any():
+            result[self._balls] = unturned(result[self._balls])
         return result, hardest
 
     def impulses(self, before: np.ndarray, after: np.ndarray, friction: float) -> np.ndarray:

@@ -33,7 +33,8 @@ class Motion(NamedTuple):
     matter: Matter
     names: tuple[str, ...]  # N names of the bodies that moved, each one in `matter`
     times: np.ndarray  # (T,) float64, seconds, evenly spaced and rising
-    poses: np.ndarray  # (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen
+    poses: np.ndarray  # (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen; of balls
+    # the axes are those of the frame
     covariances: np.ndarray
 
     @property
@@ -94,7 +95,12 @@ def motion_of(
     if not (spacing > 0).all() or np.ptp(spacing) > 0.02 * spacing.mean():
         raise DerenderError("the frames' times do not rise evenly", remedy="give frames at a steady rate, in order")
     seen = np.isfinite(poses).all(axis=(2, 3))
-    spread = np.where(seen[..., None, None], covariances, np.eye(6))
+    poses, spread = np.array(poses), np.where(seen[..., None, None], covariances, np.eye(6))
+    kinds = {body.name: body.kind for body in matter.bodies}
+    for k in (k for k, name in enumerate(names) if kinds[name] == "sphere"):  # nothing shows how it is turned
+        poses[:, k, :3, :3] = np.where(seen[:, k, None, None], np.eye(3), np.nan)
+        spread[:, k, 3:] = spread[:, k, :, 3:] = 0.0
+        spread[:, k, 3:, 3:] = np.eye(3)
     if not np.isfinite(spread).all() or np.linalg.eigvalsh(spread).min() <= 0:
         raise DerenderError("a pose's covariance is not positive definite", remedy="track anew")
     moving = [k for k in range(len(names)) if seen[:, k].sum() > 2 and _moved(poses[:, k], spread[:, k], seen[:, k])]
@@ -115,7 +121,7 @@ def motion_of(
         tuple(names[k] for k in moving),
         times,
         poses[:, moving],
-        covariances[:, moving],
+        spread[:, moving],
     )
 
 

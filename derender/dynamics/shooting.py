@@ -17,7 +17,7 @@ from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, M
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
 from derender.dynamics.motion import HELD_WITHIN, Motion
 from derender.dynamics.parameters import Parameters
-from derender.dynamics.states import CHANGE, FREE, difference, flush, moved, ways_of
+from derender.dynamics.states import CHANGE, FREE, FREE_BALL, difference, flush, moved, ways_of
 from derender.scene.friction import MEDIAN
 
 # Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
@@ -87,9 +87,11 @@ class Shooting(Impacts):
             engine.part()
         self.ways = []
         for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
-            ways = FREE if plane is None else ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
+            ways = FREE_BALL if self.bodies[k].kind == "sphere" else FREE
+            if plane is not None:
+                ways = ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
             # tracking that holds a pose says that the body rests: its speed is no unknown
-            self.ways.append(ways[:, : ways.shape[1] // 2] if frame == 0 and self.rested[k] else ways)
+            self.ways.append(ways[:, ~ways[6:].any(axis=0)] if frame == 0 and self.rested[k] else ways)
         held = [plane is not None and frame > 0 for plane, (frame, _) in zip(self.planes, self.cuts, strict=True)]
         self.flush = {cut: ways for cut, ways, yes in zip(self.cuts, self.ways, held, strict=True) if yes}
         self.spins = [self._first_spin(states, frame, k) for frame, k in self.cuts]

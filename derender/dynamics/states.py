@@ -48,6 +48,15 @@ def from_poses(poses: np.ndarray) -> np.ndarray:
     return written(Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3)), states)
 
 
+def unturned(states: np.ndarray) -> np.ndarray:
+    """Return states (..., 13) of balls whose own axes are those of the frame: nothing tells how a ball is turned, and
+    a spin about axes that nobody knows would be none."""
+    result = states.copy()
+    result[..., 10:] = rotations(states).apply(states[..., 10:].reshape(-1, 3)).reshape(states[..., 10:].shape)
+    result[..., 3:7] = 1.0, 0.0, 0.0, 0.0
+    return result
+
+
 def to_poses(states: np.ndarray) -> np.ndarray:
     """Return the poses (..., 4, 4) of states (..., 13)."""
     poses = np.tile(np.eye(4), (*states.shape[:-1], 1, 1))
@@ -60,6 +69,7 @@ def to_poses(states: np.ndarray) -> np.ndarray:
 # radians between that face and the plane. Tracking is off by half as much.
 LEVEL_FRAMES, OFF_METRES, OFF_RADIANS = 3, 0.005, 0.07
 FREE = np.eye(CHANGE)
+FREE_BALL = np.delete(FREE, [3, 4, 5], axis=1)  # see `unturned`
 
 
 def flush(body: Body, plane: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, float, float]:

@@ -18,8 +18,6 @@ from derender.tracking.result import with_materials
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
 
-# No image tells how a sphere has turned: radians.
-SPUN = 10.0
 # A thing is in a hand where, in the air, its acceleration is off gravity by more than this share of it, even in the
 # tenth of the frames where it is least: what bounces falls freely between its impacts.
 HELD, HELD_FRAMES, QUIETEST = 0.5, 3, 0.1
@@ -64,10 +62,6 @@ def motion_of_track(track: Track) -> Motion:
     turns[..., :3, :3] = back[:, None, :3, :3]
     turns[..., 3:, 3:] = np.swapaxes(track.poses[:, chosen, :3, :3], -1, -2)
     covariances = turns @ track.covariances[:, chosen] @ np.swapaxes(turns, -1, -2)
-    for column, k in enumerate(chosen):
-        if track.types[k] == "sphere":
-            covariances[:, column, 3:, :3] = covariances[:, column, :3, 3:] = 0.0
-            covariances[:, column, 3:, 3:] = SPUN**2 * np.eye(3)
     matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
     return motion_of(matter, tuple(names), track.times, poses, covariances)
 
