@@ -25,7 +25,8 @@ from derender.dynamics.engine import Engine, Material, Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.result import come_to_rest, predict
+from derender.dynamics.result import come_to_rest, last_apart, predict
+from derender.dynamics.shooting import Shooting
 from derender.dynamics.states import moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -142,8 +143,10 @@ def predict_film(kind, seed, sensor):
     engine = Engine(motion.matter, motion.names, motion.step)
     sizes = np.array([float(np.mean(motion.body(name).size)) for name in motion.names])
     floor = np.array(truth["floor"])[:3, :2]  # its two axes
-    last = found.modes[0].path.states[-1]
-    usual = come_to_rest(engine, sizes, last, default_of(engine), FRAMES - half)
+    states = found.modes[0].path.states
+    last = last_apart(Shooting(motion, found.parameters, engine), states)
+    engine = Engine(motion.matter, motion.names, motion.step)
+    usual = come_to_rest(engine, sizes, states[last], default_of(engine), FRAMES - 1 - last)
     for k in range(len(motion.names)):
         here = motion.poses[np.argmax(motion.seen[:, k]), k, :3, 3]
         item = min(truth["objects"], key=lambda o: np.linalg.norm(np.array(o["poses"][0])[:3, 3] - here))

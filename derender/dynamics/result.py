@@ -6,7 +6,7 @@ And what will happen (`predict`): films of the engine from drawn states and mate
 import json
 from collections.abc import Callable
 from functools import partial
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +115,8 @@ class Answer:
             np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
 
 
+# Bodies have entered each other by more than tracking is off, metres: the engine would throw them apart.
+ENTERED = 3e-4
 # A body rests where it is slower than RESTS (turning: by its size) in so many intervals on end.
 CALM = 3
 
@@ -153,6 +155,19 @@ def come_to_rest(
     return now
 
 
+def last_apart(shooting: Shooting, states: np.ndarray) -> int:
+    """Return the last frame of a path's states (T, N, 13) in which no two bodies have entered each other.
+
+    Bodies that lie on a floor pass through each other there: where they strike each other after the last cut, what
+    follows begins before it.
+    """
+    for frame in range(shooting.frames - 1, 0, -1):
+        bodies = [b._replace(pose=p) for b, p in zip(shooting.bodies, to_poses(states[frame]), strict=True)]
+        if not shooting.apart or all(first.gap(second) > -ENTERED for first, second in combinations(bodies, 2)):
+            return frame
+    return 0
+
+
 def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: int, most: int) -> np.ndarray:
     """Return draws (K, N, 13) of the states in which bodies come to rest, K at most `count`.
 
@@ -178,7 +193,9 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
             path = shooting.stepped(mode.path, change)
             material = found.parameters.material(found.parameters.inside(coordinates))
             scales = Scales(*np.exp(logarithms))
-            draws.append(come_to_rest(engine, shooting.sizes, path.states[-1], material, most, scales, normal))
+            frame = last_apart(shooting, path.states)
+            ahead = most + shooting.frames - 1 - frame
+            draws.append(come_to_rest(engine, shooting.sizes, path.states[frame], material, ahead, scales, normal))
         except Diverged:
             continue
     return np.array(draws[:count])

@@ -11,7 +11,8 @@ from derender.dynamics.engine import Engine, Material, Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.result import come_to_rest, predict
+from derender.dynamics.result import come_to_rest, last_apart, predict
+from derender.dynamics.shooting import Shooting
 from derender.dynamics.states import from_poses, moved, to_poses
 from derender.physics.bodies import Body, Matter
 from derender.physics.mujoco_model import Diverged
@@ -41,6 +42,31 @@ def test_a_slide_ends_where_friction_has_used_up_its_energy():
         rest = come_to_rest(engine, sizes, start(speed), Material(friction, 0.0, engine.masses), 60)
         assert abs(rest[0, 0] / (speed**2 / (2 * friction * GRAVITY)) - 1) < 0.02
         assert np.abs(rest[0, 7:]).max() < 0.05
+
+
+def test_what_has_entered_another_box_by_the_last_frame_is_not_thrown_out_of_it():
+    """Boxes that slide pass through each other in films: of a blow in the last frames, the engine went on from there,
+    and they were told to end 1 to 2 metres away."""
+    frames, names = 5, ("box", "other")
+    poses = np.tile(np.eye(4), (frames, 2, 1, 1))
+    poses[:, 0, 0, 3], poses[:, 1, 0, 3], poses[:, :, 2, 3] = 0.02 * np.arange(frames), 0.145, BOX.size[2] / 2
+    matter = MATTER._replace(bodies=(*MATTER.bodies, BOX._replace(name="other", pose=poses[0, 1])))
+    covariances = np.tile(1e-6 * np.eye(6), (frames, 2, 1, 1))
+    motion = motion_of(matter, names, STEP * np.arange(frames), poses, covariances)
+    parameters = Parameters(names, np.ones(2), read_dynamics_prior())
+    shooting = Shooting(motion, parameters, Engine(motion.matter, motion.names, STEP))
+    assert shooting.apart
+    states = from_poses(poses)
+    states[:, 0, 7] = 0.6
+    states[-1, 0, 0] += 0.02  # in the other one
+    frame = last_apart(shooting, states)
+    assert frame == frames - 2
+    ends = [
+        come_to_rest(engine, shooting.sizes, states[at], Material(0.3, 0.0, engine.masses), 60)[:, 0] - states[at, :, 0]
+        for engine in [Engine(motion.matter, motion.names, STEP)]
+        for at in (frame, frames - 1)
+    ]
+    assert np.abs(ends[0]).max() < 0.6**2 / (2 * 0.3 * GRAVITY) < 0.2 < np.abs(ends[1]).max()
 
 
 def test_a_ball_that_rolls_since_its_first_impact_goes_on_as_it_does():
