@@ -15,6 +15,7 @@ from derender.compilation.cache import njit
 from derender.detection.patches import local_planes
 from derender.detection.pyramid import estimate_blur, intrinsics, noise_of
 from derender.errors import DerenderError
+from derender.render.blur import blur_radius
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
 from derender.scene.pose import upright_frame
 
@@ -149,10 +150,13 @@ def floor_on(shape: tuple[int, int], good: np.ndarray, flat: np.ndarray, normal:
 
 # Rounds in which the pixels that are on the plane are told again, at most; standard deviations of a step to end with.
 ROUNDS_OF_NOISE, LITTLE = 12, 0.1
-USUAL_BLUR = 1.0  # squared pixels, of images: seen from above a floor does not tell it, and would trade its tilt for it
+# Squared pixels by which a blur is off what jumps tell: seen from above a floor does not tell it, and would trade its
+# tilt for it.
+USUAL_BLUR = 1.0
 # Pixels under the horizon, and for each pixel of the blur, from which on a blur shows in a floor's depths as their
 # second derivative does, to a tenth.
 HORIZON, BLURRED_HORIZON = 5.0, 13.0
+NO_FLOOR = 6.0  # standard deviations of the noise by which a pixel surely shows something else
 
 
 def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -> Floor:
@@ -168,20 +172,26 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
     rays, seen = back_project(np.ones_like(depth), camera).reshape(-1, 3)[good], depth.ravel()[good]
     flat, told, on = rays * seen[:, None], floor, floor.inliers.ravel()[good]
     noise = noise_map(depth, floor, camera)
-    horizon = max(HORIZON, BLURRED_HORIZON * estimate_blur(depth, noise))
-    numbers = np.append(floor.pose[:3, 2] / (floor.pose[:3, 3] @ floor.pose[:3, 2]), 0.0)  # w = numbers[:3] . ray; s^2
+    blurred = estimate_blur(depth, noise)
+    horizon = max(HORIZON, BLURRED_HORIZON * blurred)
+    # w = numbers[:3] . ray; s^2
+    numbers = np.append(floor.pose[:3, 2] / (floor.pose[:3, 3] @ floor.pose[:3, 2]), blurred**2)
     for _ in range(ROUNDS_OF_NOISE):
         steepness = np.hypot(numbers[0] / fx, numbers[1] / fy)  # of w, by a pixel
         w = np.maximum(rays @ numbers[:3], 1e-9)
         residual = seen - 1.0 / w - numbers[3] * steepness**2 / w**3
         sigma = noise.ravel()[good]
         before, on = on, (w > horizon * steepness) & (np.abs(residual) < WITHIN * sigma)
+        if blurred > 0.0:  # what stands there leaks into the pixels about it by less than their noise, but into many
+            other = np.zeros(depth.shape, bool)
+            other.flat[good] = np.abs(residual) > NO_FLOOR * sigma
+            on &= ~near(other, blur_radius(blurred)).flat[good]
         if on.sum() < FEWEST or (on == before).all():
             break
         change = np.column_stack([-rays[on] / w[on, None] ** 2, steepness**2 / w[on] ** 3]) / sigma[on, None]
         precision, pull = change.T @ change, change.T @ (residual[on] / sigma[on])
         precision[3, 3] += 1.0 / USUAL_BLUR**2
-        pull[3] -= numbers[3] / USUAL_BLUR**2
+        pull[3] -= (numbers[3] - blurred**2) / USUAL_BLUR**2
         step = np.linalg.lstsq(precision, pull, rcond=None)[0]
         if numbers[3] + step[3] < 0.0:  # without a blur the plane is another one
             step[3] = -numbers[3]
@@ -199,6 +209,13 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
         return floor
     scale = 1.4826 * float(np.median(np.abs(flat[told.inliers.ravel()[good]] @ normal - offset)))
     return floor_on(depth.shape, good, flat, normal, offset, scale, np.ones(len(good)))
+
+
+def near(mask: np.ndarray, reach: int) -> np.ndarray:
+    """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
+    from scipy.ndimage import maximum_filter
+
+    return maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
 def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:

@@ -13,12 +13,13 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
+from derender.detection.floor import near
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
 from derender.detection.patches import components, separation
 from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
-from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation, near
+from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import FAR, Image, make_row

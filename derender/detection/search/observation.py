@@ -23,6 +23,7 @@ from derender.detection.floor import (
     drawn,
     floor_beside,
     given_floor,
+    near,
     neighbour_correlation,
     noise_map,
     pixel_noise,
@@ -392,13 +393,6 @@ def of_whole_image(mask: np.ndarray, seen: Observation, shape: tuple[int, int]) 
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
     return mask[rows[:, None], columns]
-
-
-def near(mask: np.ndarray, reach: int) -> np.ndarray:
-    """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
-    from scipy.ndimage import maximum_filter
-
-    return maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
 def raise_wall(image: Image) -> tuple[np.ndarray, float | None]:
