@@ -36,13 +36,6 @@ ENOUGH = 100  # pixels of an object that is measured
 MOST_POINTS = 2000  # that a superquadric is fitted to
 
 
-def points_of(depth, camera):
-    """Return (H, W, 3) points in camera axes (x right, y down, z ahead), metres."""
-    rows, columns = np.indices(depth.shape)
-    return np.stack([(columns - camera["cx"]) / camera["fx"] * depth, (rows - camera["cy"]) / camera["fy"] * depth,
-                     depth], axis=-1)  # fmt: skip
-
-
 def plane_by_ransac(rng, points, normal=None):
     """Return (unit normal, offset) of the plane n . x = d of most points, across `normal` if that is given."""
     best, most = None, -1
@@ -157,7 +150,7 @@ def scene_of(name, number):
         scene = make_scene(stream(number, SCENES, SETS.index(name)), name)
         return scene["depth"], scene["camera"], scene["label"], scene["objects"], ("floor",)
     scene = make(np.random.default_rng(number), name)
-    return scene.depth, scene.camera.to_dict(), scene.label, scene.objects, tuple(scene.tables)
+    return scene.depth, scene.camera, scene.label, scene.objects, tuple(scene.tables)
 
 
 def measure_made(name, number, options):
@@ -166,7 +159,7 @@ def measure_made(name, number, options):
     graph = infer_structure(depth, camera, options, np.random.default_rng(number)).best_graph()
     found = solids_of(scene_json(graph))
     pairs = {j: i for i, j in assign(iou_matrix(found, true), 0.25)}
-    rng, points = np.random.default_rng([number, 2026]), points_of(depth, camera)
+    rng, points = np.random.default_rng([number, 2026]), camera.points(depth)
     floor, rows = floor_by_ransac(rng, points[np.isfinite(depth)]), []
     for k, item in enumerate(true):
         shows = (label == k) & np.isfinite(depth)
@@ -184,7 +177,7 @@ def measure_graspnet(folder, options):
     for name in ("sugar", "cheezit"):
         depth, camera = read_frame(folder / "graspnet", name)
         found = solids_of(scene_json(infer_structure(depth, camera, options, np.random.default_rng(0)).best_graph()))
-        rng, points = np.random.default_rng(2026), points_of(depth, camera)
+        rng, points = np.random.default_rng(2026), camera.points(depth)
         floor = floor_by_ransac(rng, points[np.isfinite(depth)])
         height = np.nan_to_num((points - floor[:3, 3]) @ floor[:3, 2])
         parts, _ = connected(height > ABOVE)

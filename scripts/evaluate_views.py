@@ -11,7 +11,6 @@ import time
 
 import numpy as np
 
-from derender.camera.intrinsics import Camera
 from derender.physics.next_view import next_views
 from derender.report.scene_json import size_intervals
 from derender.sampling.chains import SCENES, stream
@@ -56,7 +55,7 @@ class Tower:
 
     def __init__(self, number):
         self.number, self.scene = number, make_scene(stream(number, SCENES, SETS.index("tower")), "tower")
-        self.camera, self.rng = Camera(**self.scene["camera"]), np.random.default_rng([number, 2026])
+        self.camera, self.rng = self.scene["camera"], np.random.default_rng([number, 2026])
         self.alone = self.infer([])
         self.before, _ = widths(self.alone, self.scene)
         self.hidden = self.before > HIDDEN

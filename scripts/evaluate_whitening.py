@@ -35,7 +35,7 @@ def evaluate_whitening(only):
         seen = read_depth(str(path.with_name(f"{name}.png")), str(path), None)
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
         for widest in (WIDEST, depth.shape[1]):
-            image, camera, _ = reduce(depth, seen.camera.to_dict(), widest)
+            image, camera, _ = reduce(depth, seen.camera, widest)
             try:
                 residual, plane = residuals(np.where(image > 0, image, np.nan), camera, name)
             except DerenderError:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.evaluation.metrics import assign
 from derender.report.scene_json import scene_json
 from derender.structures.infer import infer_structure
@@ -28,12 +29,13 @@ def real_folder():
 
 
 def read_frame(folder, stem, camera_name=None):
-    """Return (depth (H, W) in metres, NaN = no return, camera dict) of a frame: a 16-bit image and its camera file."""
+    """Return (depth (H, W) in metres, NaN = no return, Camera) of a frame: a 16-bit image and its camera file."""
     import imageio.v3 as imageio
 
-    camera = json.loads((folder / (camera_name or f"{stem}_camera.json")).read_text())
     path = folder / "depth" / f"{stem}.png" if camera_name else folder / f"{stem}_depth.png"
-    depth = imageio.imread(path).astype(float) * camera["depth_scale"] / 1000
+    depth = imageio.imread(path).astype(float)
+    camera = Camera.from_file(folder / (camera_name or f"{stem}_camera.json"), depth.shape)
+    depth *= camera.depth_scale / 1000
     return np.where(depth > 0, depth, np.nan), camera
 
 

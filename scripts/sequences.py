@@ -360,7 +360,7 @@ def make_sequence(rng, kind, sensor="kinect", motion=0.0, size=SIZE, fps=None):
         "objects": objects, "parameters": told, "materials": materials, "kind": kind, "fps": rate, "gravity": gravity,
         "floor": view.tolist(), "views": [w.tolist() for w in views], "speeds": starts, "pixels": pixels.tolist(),
     }  # fmt: skip
-    return frames, {**camera, "fps": rate, "gravity": gravity}, truth
+    return frames, {**camera.to_dict(), "fps": rate, "gravity": gravity}, truth
 
 
 def named(kinds):

@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 
 from derender.camera.depth_file import write_depth
-from derender.camera.intrinsics import Camera
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
 
@@ -33,12 +32,8 @@ def write_frames(folder, count):
     """Write frames of the set `settled`; return their folder."""
     for number in range(count):
         scene = make_scene(np.random.default_rng([number, SETS.index("settled")]), "settled")
-        height, width = scene["depth"].shape
-        camera = scene["camera"]
-        if not isinstance(camera, Camera):
-            camera = Camera(**{**camera, "width": width, "height": height})
-        write_depth(folder / f"frame_{number:04d}.npz", scene["depth"], camera)
-    return f"{width} x {height}"
+        write_depth(folder / f"frame_{number:04d}.npz", scene["depth"], scene["camera"])
+    return f"{scene['camera'].width} x {scene['camera'].height}"
 
 
 def run(frames, output, *options):

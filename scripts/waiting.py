@@ -46,7 +46,7 @@ def images(folder, name, count):
         scene = make_scene(stream(k, SCENES, SETS.index(name)), name)
         image, camera = folder / f"{name}_{k}.npy", folder / f"{name}_{k}.json"
         np.save(image, scene["depth"])
-        camera.write_text(json.dumps(scene["camera"]))
+        camera.write_text(json.dumps(scene["camera"].to_dict()))
         found.append(("infer", image, "--camera", camera, "-o", folder / "result"))
     return found
 

@@ -35,7 +35,7 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
     for name in talk.counted(frames, len(frames), "reading"):
         seen = read_depth(name, camera, depth_scale)
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
-        pairs.append(residuals(depth, seen.camera.to_dict(), name))
+        pairs.append(residuals(depth, seen.camera, name))
     with talk.bar() as bar:
         fit = fit_sensor(pairs, lambda done: bar(done, "fitting") if bar else None)
     before, after = fit.correlation

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from derender.detection.floor import back_project, rounding_of
+from derender.detection.floor import rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
 from derender.detection.solids.beliefs import any_sensor, log_prior_of
@@ -45,7 +45,7 @@ class Fit(NamedTuple):
     beyond: float
 
 
-def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+def residuals(depth: np.ndarray, camera: "Camera", name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return (residual (H, W) metres, NaN off the table; the table's depth (H, W)) of a frame of a bare table.
 
     Depths that were rounded lie anywhere within a step, as probably here as there (dithered: Schuchman, IEEE
@@ -56,7 +56,7 @@ def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np
     floor = find_floor(depth, camera)
     normal = floor.pose[:3, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        plane = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+        plane = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
     if floor.inliers.sum() < LEAST_PIXELS:
         what = f"{int(floor.inliers.sum())} pixels lie on a plane: fewer than {LEAST_PIXELS}"
         raise DerenderError(what, name, "give frames that show a bare table and little else")

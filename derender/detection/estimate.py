@@ -36,7 +36,7 @@ FILLED = 0.4  # share of the image from which on solids are so near that half th
 def point_estimate(
     rng: np.random.Generator,
     depth: np.ndarray,
-    camera: Camera | dict[str, float],
+    camera: Camera,
     settings: Settings | None = None,
     pool: list[tuple[State, float]] | None = None,
     plane: Any = None,
@@ -86,7 +86,7 @@ def explained(seen: Observation, state: State) -> float:
 def on_one_floor(
     rng: np.random.Generator,
     depth: np.ndarray,
-    camera: Camera | dict[str, float],
+    camera: Camera,
     settings: Settings,
     pool: list[tuple[State, float]],
     plane: Any,
@@ -187,8 +187,8 @@ def settings_for(settings: Settings, seen: Observation) -> Settings:
     """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
     settings = settings.for_correlation(seen.correlation)
     columns = settings.believed.loose.shared.columns
-    if seen.correlation > CORRELATED and seen.camera["width"] > columns:
-        settings = settings.for_pixels((seen.camera["width"] / columns) ** 2)
+    if seen.correlation > CORRELATED and seen.camera.width > columns:
+        settings = settings.for_pixels((seen.camera.width / columns) ** 2)
     return settings
 
 

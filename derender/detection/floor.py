@@ -13,7 +13,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
 from derender.detection.patches import local_planes
-from derender.detection.pyramid import estimate_blur, intrinsics, noise_of
+from derender.detection.pyramid import estimate_blur, noise_of
 from derender.errors import DerenderError
 from derender.render.blur import blur_radius
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
@@ -48,14 +48,6 @@ class Floor(NamedTuple):
     inliers: np.ndarray  # (H, W) bool, pixels on the plane
 
 
-def back_project(depth: np.ndarray, camera: Camera | dict[str, float]) -> np.ndarray:
-    """Return the points (H, W, 3) in camera axes of a depth image; NaN where there is no depth."""
-    fx, fy, cx, cy = intrinsics(camera)
-    height, width = depth.shape
-    column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    return np.stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth], axis=-1)
-
-
 def scale_of(depth: np.ndarray, floor: Floor) -> float:
     """Return how far away the floor is seen in an image (H, W), against USUAL; at most 1.
 
@@ -66,7 +58,7 @@ def scale_of(depth: np.ndarray, floor: Floor) -> float:
     return min(1.0, float(np.median(on)) / USUAL) if len(on) else 1.0
 
 
-def floor_beside(floor: Floor, depth: np.ndarray, camera: dict[str, float], standing: np.ndarray) -> Floor:
+def floor_beside(floor: Floor, depth: np.ndarray, camera: Camera, standing: np.ndarray) -> Floor:
     """Return the plane of the floor beside what stands on it: the floor fitted again, what is near counting more.
 
     A real sensor bends a plane by millimetres, and what lies behind a table may be nearly its plane: solids stand on
@@ -74,7 +66,7 @@ def floor_beside(floor: Floor, depth: np.ndarray, camera: dict[str, float], stan
 
     floor : Floor, a first look. standing : (H, W) bool, pixels of what stands on it.
     """
-    points = back_project(depth, camera)
+    points = camera.points(depth)
     flat = (points.reshape(-1, 3) - floor.pose[:3, 3]) @ floor.pose[:3, :2]
     feet = flat[standing.ravel()]
     feet = feet[:: max(1, len(feet) // FEET)]
@@ -159,7 +151,7 @@ HORIZON, BLURRED_HORIZON = 5.0, 13.0
 NO_FLOOR = 6.0  # standard deviations of the noise by which a pixel surely shows something else
 
 
-def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -> Floor:
+def under_its_noise(floor: Floor, depth: np.ndarray, camera: Camera) -> Floor:
     """Return the Floor fitted to all of it, each pixel counting as its own noise lets it: of a floor that runs to its
     horizon the far pixels tell the tilt, which the near ones leave open by centimetres there. With fewer than FEWEST
     on it, it stays.
@@ -167,9 +159,8 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
     The inverse depth w of a plane is affine in an image, and a blur of s pixels adds (s |grad w|)^2 / w^3 to its
     depths: both are fitted, by Gauss-Newton steps. Of independent noise; a real sensor's far depths are biased.
     """
-    fx, fy, _, _ = intrinsics(camera)
     good = np.flatnonzero(np.isfinite(depth) & (depth > 0))
-    rays, seen = back_project(np.ones_like(depth), camera).reshape(-1, 3)[good], depth.ravel()[good]
+    rays, seen = camera.rays().reshape(-1, 3)[good], depth.ravel()[good]
     flat, told, on = rays * seen[:, None], floor, floor.inliers.ravel()[good]
     noise = noise_map(depth, floor, camera)
     blurred = estimate_blur(depth, noise)
@@ -177,7 +168,7 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: dict[str, float]) -
     # w = numbers[:3] . ray; s^2
     numbers = np.append(floor.pose[:3, 2] / (floor.pose[:3, 3] @ floor.pose[:3, 2]), blurred**2)
     for _ in range(ROUNDS_OF_NOISE):
-        steepness = np.hypot(numbers[0] / fx, numbers[1] / fy)  # of w, by a pixel
+        steepness = np.hypot(numbers[0] / camera.fx, numbers[1] / camera.fy)  # of w, by a pixel
         w = np.maximum(rays @ numbers[:3], 1e-9)
         residual = seen - 1.0 / w - numbers[3] * steepness**2 / w**3
         sigma = noise.ravel()[good]
@@ -236,7 +227,7 @@ STEEPEST = 0.15  # sine of the angle between ray and floor below which the bend 
 MOST = 3.0  # standard deviations of consumer sensors that a bend amounts to at most
 
 
-def bend_of(depth: np.ndarray, floor: Floor, camera: Camera | dict[str, float]) -> np.ndarray:
+def bend_of(depth: np.ndarray, floor: Floor, camera: Camera) -> np.ndarray:
     """Return (H, W) metres to add to a depth image so that its floor is a plane; zeros where it is one as it is.
 
     The floor's height over its plane is taken as a polynomial of rows and columns, fitted robustly to its inliers, of a
@@ -248,7 +239,7 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera | dict[str, float]) 
     if floor.inliers.sum() < FEWEST:
         return none
     normal = floor.pose[:3, 2]
-    seen = ((back_project(depth, camera) - floor.pose[:3, 3]) @ normal)[floor.inliers]
+    seen = ((camera.points(depth) - floor.pose[:3, 3]) @ normal)[floor.inliers]
     row, column = (np.linspace(-1.0, 1.0, count) for count in depth.shape)
     bend, before = none, scatter(seen)
     for order in ORDERS:
@@ -261,7 +252,7 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera | dict[str, float]) 
         fitted = surface[floor.inliers][np.abs(surface[floor.inliers] - seen) < WITHIN * after]
         bend, before = np.clip(surface, fitted.min(), fitted.max()), after
     most = MOST * sensor_deviation(float(np.median(depth[floor.inliers])))
-    slope = -(back_project(np.ones_like(depth), camera) @ normal)
+    slope = -(camera.rays() @ normal)
     return np.clip(bend, -most, most) / np.maximum(slope, STEEPEST)
 
 
@@ -312,13 +303,13 @@ def read_floor(text: Any) -> np.ndarray | str | None:
     return plane / np.linalg.norm(plane[:3])
 
 
-def given_floor(depth: np.ndarray, camera: dict[str, float], floor: np.ndarray | str) -> Floor:
+def given_floor(depth: np.ndarray, camera: Camera, floor: np.ndarray | str) -> Floor:
     """Return the Floor of a plane (4,) or of "none".
 
     Without a floor its frame has the camera's up for z and lies far below everything, so that nothing rests on it.
     A given plane is taken as it is; its noise is measured on the points within 2 cm of it.
     """
-    points = back_project(depth, camera)
+    points = camera.points(depth)
     good = np.isfinite(depth) & (depth > 0)
     if good.sum() < 50:
         raise DerenderError(f"the image has only {good.sum()} pixels with depth", remedy="at least 50 are needed")
@@ -367,14 +358,14 @@ SENSOR_SIGMA, SENSOR_GROWTH, ROUGHER = 0.002, 0.004, 3.0
 SUREST = 5e-4  # metres: no image is taken to be surer than that
 
 
-def noise_map(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> np.ndarray:
+def noise_map(depth: np.ndarray, floor: Floor, camera: Camera) -> np.ndarray:
     """Return the standard deviation of the noise (H, W), fitted on the floor.
 
     Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
     """
     if not floor.inliers.any():
         return np.full(depth.shape, floor.sigma)
-    points = back_project(depth, camera)[floor.inliers]
+    points = camera.points(depth)[floor.inliers]
     normal = floor.pose[:3, 2]
     slope = np.abs((points / points[:, 2:3]) @ normal)
     steep = slope >= max(GRAZING, np.quantile(slope, 0.3))  # >=: a wall right before the camera has one angle
@@ -392,13 +383,13 @@ def noise_map(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> np.n
     return np.maximum(np.minimum(noise, most), SUREST)
 
 
-def local_noise(depth: np.ndarray, camera: dict[str, float]) -> float:
+def local_noise(depth: np.ndarray, camera: Camera) -> float:
     """Return the standard deviation of the noise about the planes through each pixel's neighbours, metres, the median.
 
     Noise that neighbours share shows in it by a third or so; solids, walls and bent floors do not show.
     """
     good = np.isfinite(depth) & (depth > 0)
-    points = np.ascontiguousarray(np.nan_to_num(back_project(depth, camera)))
+    points = np.ascontiguousarray(np.nan_to_num(camera.points(depth)))
     jump = np.ascontiguousarray(np.nan_to_num(0.02 * depth))
     normal, offset, error = local_planes(points, good, np.zeros(3), jump, 2)
     fitted = good & (error < 1e8)
@@ -415,7 +406,7 @@ def rounding_of(depth: np.ndarray) -> float:
     return float(min(steps[steps > 1e-9], default=0.0))
 
 
-def drawn(depth: np.ndarray, floor: Floor, camera: dict[str, float], rounding: float) -> bool:
+def drawn(depth: np.ndarray, floor: Floor, camera: Camera, rounding: float) -> bool:
     """Return whether an image shows its floor to within its own rounding: no sensor does, a renderer without noise.
 
     Neighbouring pixels are then off by the same, which would pass for a real sensor's bends.
@@ -423,13 +414,13 @@ def drawn(depth: np.ndarray, floor: Floor, camera: dict[str, float], rounding: f
     if not floor.inliers.any():
         return False
     normal = floor.pose[:3, 2]
-    plane = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    plane = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
     near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
     met = np.abs(depth - plane)[near] <= max(0.6 * rounding, SUREST / 5)  # half a step, and the fit's own fault
     return bool(met.mean() > 0.99)
 
 
-def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> float:
+def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: Camera) -> float:
     """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only.
 
     Near is where the plane is, not what was measured: from straight above the noise itself would choose the pixels.
@@ -437,8 +428,8 @@ def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: dict[str, flo
     if not floor.inliers.any():
         return 0.0
     normal = floor.pose[:3, 2]
-    height = (back_project(depth, camera) - floor.pose[:3, 3]) @ normal
-    distance = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    height = (camera.points(depth) - floor.pose[:3, 3]) @ normal
+    distance = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
     near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
     limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
     height = np.where(near & (np.abs(height) < limit), height, np.nan)

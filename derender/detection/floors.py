@@ -21,7 +21,6 @@ from derender.detection.floor import (
     SAY_FLOOR,
     Floor,
     NoFloor,
-    back_project,
     neighbour_noise,
     plane_through,
     sensor_deviation,
@@ -68,9 +67,9 @@ class Candidate(NamedTuple):
     odds: float  # nats, what its share of the pixels says of it, and how it lies
 
 
-def find_floor(depth: np.ndarray, camera: Camera | dict[str, float], believed: Floors | None = None) -> Floor:
+def find_floor(depth: np.ndarray, camera: Camera, believed: Floors | None = None) -> Floor:
     """Return the Floor about the likeliest of the Candidates; takes and raises what `floors_of` does."""
-    return fitted(depth, back_project(depth, camera), floors_of(depth, camera, None, believed)[0])
+    return fitted(depth, camera.points(depth), floors_of(depth, camera, None, believed)[0])
 
 
 def fitted(depth: np.ndarray, points: np.ndarray, candidate: Candidate, share: float = 1.0) -> Floor:
@@ -84,7 +83,7 @@ def fitted(depth: np.ndarray, points: np.ndarray, candidate: Candidate, share: f
     return plane_through(depth, points, candidate.normal, candidate.offset, WIDTHS[1] * candidate.near)
 
 
-def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any = None,
+def floors_of(depth: np.ndarray, camera: Camera, gravity: Any = None,
               believed: Floors | None = None) -> list[Candidate]:  # fmt: skip
     """Return the Candidates that come near the likeliest one, that first.
 
@@ -95,7 +94,7 @@ def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any
     Raises DerenderError where fewer than 50 pixels have depth, NoFloor where no plane is likely one.
     """
     believed = bare_image().loose.floor if believed is None else believed
-    points = back_project(depth, camera)
+    points = camera.points(depth)
     count = int((np.isfinite(depth) & (depth > 0)).sum())
     if count < 50:
         what = f"the image has too few pixels with depth ({count}, at least 50 are needed)"
@@ -284,7 +283,7 @@ def find_backdrop(depth: np.ndarray, camera: Any, believed: Floors | None = None
     except DerenderError:
         return None
     seen = np.isfinite(depth) & (depth > 0)
-    height = (back_project(depth, camera) - plane.pose[:3, 3]) @ plane.pose[:3, 2]
+    height = (camera.points(depth) - plane.pose[:3, 3]) @ plane.pose[:3, 2]
     beyond = seen & ((height < max(0.004, 4.0 * plane.sigma)) | plane.inliers)
     edges = (beyond[0], beyond[-1], beyond[:, 0], beyond[:, -1])
     reached = sum(edge.mean() > SIDE for edge in edges)

@@ -6,7 +6,7 @@ one rises from it as from any floor. Lengths are those of a main plane that is s
 
 import numpy as np
 
-from derender.detection.floor import LEVEL, ROOM, back_project
+from derender.detection.floor import LEVEL, ROOM
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation
@@ -38,7 +38,7 @@ def levels_of(seen: Observation) -> list[tuple[np.ndarray, float]]:
     found: list[tuple[np.ndarray, float]] = []
     scale = seen.floor_scale
     pixels = np.bincount(label[label >= 0], minlength=count)
-    points = back_project(np.where(good, seen.image.depth, np.nan), seen.camera)
+    points = seen.camera.points(np.where(good, seen.image.depth, np.nan))
     taken = np.zeros(good.shape, bool)
     for k in np.argsort(-pixels, kind="stable"):
         if pixels[k] < LEAST_SHARE * good.sum() or len(found) == MOST:

@@ -4,16 +4,13 @@ Of each block one pixel is kept. Noise is told by residuals among which some are
 rounded; blur by the pixels beside the image's steps.
 """
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
 from derender.render.blur import blur, weighed_along_both
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
-
 
 # Standard deviations beyond which residuals are no noise, and how wide a standard normal number scatters within.
 NO_NOISE, WITHIN = 3.0, 0.9866
@@ -209,19 +206,11 @@ MOST_UNMIXED, REACH, SMOOTHED, REFITTED, FITTING = 0.55, 8, 2, 2, 4.0
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
-def intrinsics(camera: "Camera | dict[str, float]") -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy of a camera object or of a dict of them."""
-    if isinstance(camera, dict):
-        return camera["fx"], camera["fy"], camera["cx"], camera["cy"]
-    return camera.fx, camera.fy, camera.cx, camera.cy
-
-
-def reduced_camera(camera: "Camera | dict[str, float]", factor: int, shape: tuple[int, int]) -> dict[str, float]:
-    """Return the dict of intrinsics of the image whose pixels are blocks of factor x factor pixels."""
-    fx, fy, cx, cy = intrinsics(camera)
-    shift = sampled(factor)
-    return {"fx": fx / factor, "fy": fy / factor, "cx": (cx - shift) / factor, "cy": (cy - shift) / factor,
-            "width": shape[1] // factor, "height": shape[0] // factor}  # fmt: skip
+def reduced_camera(camera: Camera, factor: int) -> Camera:
+    """Return the Camera of the image whose pixels stand for blocks of factor x factor pixels."""
+    cx, cy = ((centre - sampled(factor)) / factor for centre in (camera.cx, camera.cy))
+    return replace(camera, fx=camera.fx / factor, fy=camera.fy / factor, cx=cx, cy=cy, width=camera.width // factor,
+                   height=camera.height // factor)  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -337,10 +326,8 @@ def reduced_by(depth: np.ndarray, widest: int) -> int:
     return max(1, int(round(depth.shape[1] / widest)))
 
 
-def reduce(
-    depth: np.ndarray, camera: "Camera | dict[str, float]", widest: int
-) -> tuple[np.ndarray, dict[str, float], int]:
-    """Return (depth, camera dict, factor) of the image reduced by a whole factor to about `widest` pixels across.
+def reduce(depth: np.ndarray, camera: Camera, widest: int) -> tuple[np.ndarray, Camera, int]:
+    """Return (depth, Camera, factor) of the image reduced by a whole factor to about `widest` pixels across.
 
     depth : (H, W) float metres, NaN or 0 = no return; in the answer NaN = no return.
     """
@@ -348,7 +335,7 @@ def reduce(
     filled = np.nan_to_num(np.ascontiguousarray(depth, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     if factor > 1:
         filled = sampled_blocks(filled, factor, max(2, factor * factor // 5))
-    return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor
+    return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor), factor
 
 
 def single_pixels(depth: np.ndarray, factor: int) -> np.ndarray:

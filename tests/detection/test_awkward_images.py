@@ -33,7 +33,7 @@ def picture(floor, width=160, height=120, count=2, noise=0.001, factor=0.87):
     """Return depth (H, W) of the first `count` boxes on a floor with noise, and the camera."""
     camera = Camera(factor * width, factor * width, (width - 1) / 2, (height - 1) / 2, width, height)
     poses = floor @ POSES[:count] if count else np.zeros((0, 4, 4))
-    depth, _ = render_floor_scene(["box"] * count, poses, SIZES[:count], floor, camera.to_dict())
+    depth, _ = render_floor_scene(["box"] * count, poses, SIZES[:count], floor, camera)
     depth = np.where(depth > 5, np.nan, depth)
     return depth + noise * np.random.default_rng(0).normal(size=depth.shape), camera
 
@@ -162,7 +162,7 @@ def test_a_floor_far_from_every_point_is_one_clear_line():
 
 @pytest.mark.parametrize("kind", ["box", "cylinder"])
 def test_two_ends_that_show_on_either_side_of_something_are_of_one_solid(kind):
-    camera = {"fx": 140.0, "fy": 140.0, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
+    camera = Camera(140.0, 140.0, 79.5, 59.5, 160, 120)
     floor = floor_pose()
     lying = translation(0.0, 0.06, 0.03) @ rotation_y(np.pi / 2)
     poses = floor @ np.stack([lying, translation(0.0, -0.06, 0.11)])
@@ -231,7 +231,7 @@ def before_walls(*walls):
     upright = [floor @ rotation_z(turn) @ translation(0.0, distance + 0.025, 1.0) for distance, turn in walls]
     sizes = [*SIZES, *[np.array([8.0, 0.05, 4.0])] * len(walls)]
     poses = np.stack([*(floor @ POSES), *upright])
-    depth, _ = render_floor_scene(["box"] * len(sizes), poses, np.array(sizes), floor, camera.to_dict())
+    depth, _ = render_floor_scene(["box"] * len(sizes), poses, np.array(sizes), floor, camera)
     return depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape), camera
 
 
@@ -247,7 +247,7 @@ def test_a_wide_box_with_floor_behind_it_is_no_wall():
     floor = floor_pose(distance=1.5, elevation=30.0)
     size = np.array([0.7, 0.4, 0.3])
     _, camera = picture(floor, count=0)
-    depth, _ = render_floor_scene(["box"], (floor @ translation(0, 0, 0.15))[None], size[None], floor, camera.to_dict())
+    depth, _ = render_floor_scene(["box"], (floor @ translation(0, 0, 0.15))[None], size[None], floor, camera)
     found = solids(answer(depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape), camera))
     assert len(found) == 1
     assert np.abs(found[0] - np.sort(size)).max() < 0.015

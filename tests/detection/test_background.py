@@ -109,9 +109,7 @@ def test_length_and_edge():
 
 def test_roughness_is_that_of_the_noise_whatever_stands_there():
     image = seen_on_the_table([(BOX, 0.0, 0.0, (0.2, 0.15, 0.15), None)])
-    assert local_noise(image, {"fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy}) == pytest.approx(
-        SIGMA, rel=0.3
-    )
+    assert local_noise(image, CAMERA) == pytest.approx(SIGMA, rel=0.3)
 
 
 @pytest.mark.parametrize("number", [0, 1])

@@ -166,7 +166,7 @@ def test_the_odds_of_floors_are_those_of_the_file(rng):
 def test_a_backdrop_reaches_three_sides_of_the_image():
     depth = np.random.default_rng(0).normal(1.0, 0.001, (48, 64))
     depth[16:32, 20:44] = 0.8  # a solid before it
-    camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
     plane, beyond = find_backdrop(depth, camera)
     assert plane.pose[:3, 2] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
     assert beyond.mean() > 0.85 and not beyond[16:32, 20:44].any()

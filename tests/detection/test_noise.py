@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from derender.camera.intrinsics import Camera
 from derender.detection.pyramid import estimate_blur, noise_of, spread_of
 from derender.detection.search.searches import refocused
 from derender.detection.solids.image import ROW, draw, make_image, make_row
@@ -76,7 +77,7 @@ def test_noise_over_a_wide_range_of_depths_is_as_likely_as_the_true_one():
     assert log_density(sigma + growth * depth**2) > log_density(true) - 10.0  # two numbers, a tenth of the depths lost
 
 
-CAMERA = {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5, "width": 80, "height": 60}
+CAMERA = Camera(70.0, 70.0, 39.5, 29.5, 80, 60)
 FLOOR = np.array([[1.0, 0, 0, 0], [0, -0.6, -0.8, 0.1], [0, 0.8, -0.6, 0.8], [0, 0, 0, 1]])
 
 

@@ -14,7 +14,7 @@ from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, PLANE, Solids
 from worlds.made_scenes import render_floor_scene
 
-CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
+CAMERA = Camera(30.0, 30.0, 15.5, 11.5, 32, 24)
 FLOOR_POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))
 
 
@@ -55,7 +55,7 @@ def test_single_pixels_are_what_the_reduced_camera_sees_and_smoothed_blocks_are_
     depth, _ = render_depth(solids, WHOLE)
     seen = observe(depth, WHOLE)
     assert seen.factor == 4
-    exact, _ = render_depth(solids, Camera(**seen.camera))
+    exact, _ = render_depth(solids, seen.camera)
     assert np.abs(seen.single - exact).max() < 1e-9
     assert np.abs(seen.image.depth - exact).max() > 0.001  # where an edge runs through a block
 
@@ -79,5 +79,5 @@ def test_a_box_is_drawn_whose_side_the_camera_lies_in(side, slip):
     sizes = np.array([[0.0] * 3, [0.06] * 3])
     solids = Solids(np.array([PLANE, BOX]), np.stack([floor, box]), sizes, np.array([-1, -1]))
     expected, label = render_depth(solids, camera)
-    depth, _ = render_floor_scene(["box"], box[None], sizes[1:], floor, camera.to_dict())
+    depth, _ = render_floor_scene(["box"], box[None], sizes[1:], floor, camera)
     assert (label == 1).sum() > 50 and np.abs(depth - expected)[label == 1].max() < 1e-4

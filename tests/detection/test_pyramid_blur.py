@@ -113,7 +113,7 @@ def test_all_pixels_of_a_small_image_are_drawn_from():
     image, *_ = box_image(2, 0.5)
     seen = observe(image, WHOLE)
     assert seen.factor == 2 and np.array_equal(seen.single, image)
-    assert seen.single_camera["fx"] == WHOLE.fx and seen.single_camera["cx"] == WHOLE.cx
+    assert seen.single_camera == WHOLE
 
 
 def test_beside_a_horizon_what_is_undone_may_lie_behind_the_camera():

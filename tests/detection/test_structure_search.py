@@ -1,11 +1,13 @@
 """From depth images to structures: each step on scenes whose answer is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from derender.camera.depth_file import read_depth
+from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate
 from derender.detection.floor import drawn, neighbour_correlation, rounding_of
 from derender.detection.floors import find_floor
@@ -125,7 +127,7 @@ def test_lowest_and_highest_are_those_of_the_corners(rng):
 
 def view_of(rng, rows):
     """Return an Image of solids over the floor at 64 x 48, noise 1 mm."""
-    camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
     floor = np.array([[1, 0, 0, 0], [0, -0.6, -0.8, 0.15], [0, 0.8, -0.6, 0.6], [0, 0, 0, 1.0]])
     image = make_image(np.zeros((48, 64)), 1.0, camera, floor)
     depth, label = np.empty((48, 64)), np.empty((48, 64), np.int32)
@@ -135,7 +137,6 @@ def view_of(rng, rows):
 
 
 def test_drawing_agrees_with_the_ray_caster(rng):
-    from derender.camera.intrinsics import Camera
     from derender.render.raycast.depth import render_depth
     from derender.scene.solids import PLANE, Solids
 
@@ -144,7 +145,7 @@ def test_drawing_agrees_with_the_ray_caster(rng):
     poses = np.array([floor] + [floor @ solid_of(row)["pose"] for row in rows])
     solids = Solids(np.array([PLANE, BOX, SPHERE, CYLINDER], np.int32), poses,
                     np.vstack([np.zeros(3), rows[:, 13:16]]), np.full(4, -1, np.int32))  # fmt: skip
-    other, _ = render_depth(solids, Camera(**camera))
+    other, _ = render_depth(solids, camera)
     assert np.nanmax(np.abs(depth - other)) < 1e-9
     assert (np.isnan(depth) == np.isnan(other)).all()
 
@@ -173,13 +174,13 @@ def test_floor_is_found_to_a_tenth_of_a_degree(rng):
 
 
 def test_an_image_without_a_plane_or_without_pixels_is_a_fault(rng):
-    camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
+    camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
     with pytest.raises(DerenderError, match="plane"):
         find_floor(rng.uniform(0.5, 5.0, (48, 64)), camera)
     with pytest.raises(DerenderError, match="pixels"):
         find_floor(np.full((48, 64), np.nan), camera)
     with pytest.raises(DerenderError, match="on one line"):
-        find_floor(np.full((1, 64), 0.9), camera)
+        find_floor(np.full((1, 64), 0.9), replace(camera, height=1))
 
 
 def test_reduced_images_show_the_same_points(rng):
@@ -194,7 +195,7 @@ def test_reduced_images_show_the_same_points(rng):
 @pytest.mark.parametrize("share", [0.0, 0.5], ids=["independent", "shared"])
 def test_how_much_neighbours_share_their_noise_is_told_from_straight_above_too(rng, share):
     """A camera that looks straight down sees one distance everywhere: its noise must not choose the near half."""
-    camera = {"fx": 90.0, "fy": 90.0, "cx": 79.5, "cy": 59.5}
+    camera = Camera(90.0, 90.0, 79.5, 59.5, 160, 120)
     white = rng.normal(0.0, 0.002, (120, 161))
     depth = 1.5 + (1 - share) * white[:, 1:] + share * white[:, :-1]
     expected = share * (1 - share) / (share**2 + (1 - share) ** 2)
@@ -349,7 +350,7 @@ def test_of_two_searches_each_part_is_taken_from_the_one_that_explains_it(rng):
 def test_two_stacks_seen_by_a_sensor_are_three_cubes_with_every_seed(seed):
     """Greedy searches take a can for one stack, and searches that went on from there ended there."""
     image = read_depth(FRAMES / "realsense_two_stacks.png", FRAMES / "realsense_camera.json")
-    state, _ = point_estimate(np.random.default_rng(seed), image.depth, vars(image.camera))
+    state, _ = point_estimate(np.random.default_rng(seed), image.depth, image.camera)
     assert state.cubes == [True] * 3
     assert state.parents.count(FLOOR) == 2
 
@@ -373,7 +374,7 @@ def test_blurred_silhouettes_are_not_filled_with_thin_solids(seed):
 
 def test_what_a_floor_is_uneven_by_is_no_solid(rng):
     """A slab of 6 mm and half a metre on a floor, as real tables are off their plane."""
-    camera = {"fx": 140.0, "fy": 140.0, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
+    camera = Camera(140.0, 140.0, 79.5, 59.5, 160, 120)
     floor = np.array([[1, 0, 0, 0], [0, -0.6, -0.8, 0.15], [0, 0.8, -0.6, 0.9], [0, 0, 0, 1.0]])
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[0, :3, 3], poses[1, :3, 3] = [0.0, 0.25, 0.003], [0.0, -0.1, 0.05]

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
 
+from derender.camera.intrinsics import Camera
 from derender.detection import estimate
 from derender.detection.compounds import (
     below_cap,
@@ -292,7 +293,9 @@ def test_a_silhouette_lies_where_its_pixels_end():
     column = np.arange(40.0)
     depth = np.tile(1.0 + 0.002 * column, (30, 1))
     depth[10:15, 20:25] += 0.2
-    image = make_image(depth, 0.002, {"fx": 100.0, "fy": 100.0, "cx": 19.5, "cy": 14.5}, translation(0.0, 0.0, 1.0))
+    image = make_image(
+        depth, 0.002, Camera(100.0, 100.0, 19.5, 14.5, depth.shape[1], depth.shape[0]), translation(0.0, 0.0, 1.0)
+    )
     mask = np.zeros((30, 40), bool)
     mask[5:15, 10:20] = mask[10:15, 20:25] = True
     found, place, triangles = visible_surface(image, mask, np.full((30, 40), 0.03))

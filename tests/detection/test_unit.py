@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from derender.camera.intrinsics import Camera
 from derender.detection import unit as detection_unit
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.graph import scene_graph
@@ -95,7 +94,7 @@ def test_a_scene_many_times_as_large_or_small_is_found(times):
     solids = graph.solids()
     said, true = (each[np.argsort(each.prod(axis=1))] for each in (solids.size[1:], sizes))
     assert np.sort(said, axis=1) == pytest.approx(np.sort(true, axis=1), rel=0.05)
-    drawn, label = render_depth(solids, Camera(**scene["camera"]))
+    drawn, label = render_depth(solids, scene["camera"])
     assert np.median(np.abs(depth - drawn)[label > 0]) < noise
     assert found.meta["likelihood"]["sigma"] == pytest.approx(noise, rel=0.25)
     missed = found.meta["missed"]

@@ -252,7 +252,7 @@ def test_a_sensor_s_own_frames_tell_its_numbers(tmp_path):
         normal = np.array([0.0, -np.sqrt(0.5), -np.sqrt(0.5)])
         table = distance * normal[2] / (camera.rays() @ normal)
         depth = NOISE.sample(rng, table, NOISE.complete(true))
-        pairs.append(residuals(depth, camera.to_dict(), "table"))
+        pairs.append(residuals(depth, camera, "table"))
     found = fit_sensor(pairs).values
     for metres in (0.6, 0.9):
         noise, step = (found[name] + found[f"{name}_growth"] * metres**2 for name in ("sigma", "step"))
@@ -269,7 +269,7 @@ def test_of_a_table_whose_depths_were_rounded_the_noise_is_told_and_not_how_ofte
     table = 0.7 * normal[2] / (camera.rays() @ normal)
     field = gaussian_filter(rng.standard_normal(table.shape), 3.0)
     depth = np.round(table + 0.0005 * field / field.std(), 3)
-    fit = fit_sensor([residuals(depth, camera.to_dict(), "table")])
+    fit = fit_sensor([residuals(depth, camera, "table")])
     assert fit.values["step"] + fit.values["step_growth"] * 0.7**2 > 0.001 / np.sqrt(12.0)  # what rounding alone does
     assert abs(fit.correlation[1]) < 0.15
 

@@ -147,8 +147,7 @@ def found():
     truth = bridge().replace("plank", supports=("right",))
     names = ("left", "right", "plank")
     poses, sizes = truth.poses(), [truth.body(name).size() for name in names]
-    depth, _ = render_floor_scene(["box"] * 3, np.array([poses[n] for n in names]), np.array(sizes), view(),
-                                  CAMERA.to_dict())  # fmt: skip
+    depth, _ = render_floor_scene(["box"] * 3, np.array([poses[n] for n in names]), np.array(sizes), view(), CAMERA)
     depth = depth + np.random.default_rng(0).normal(0, 0.001, depth.shape)
     return infer_structure(depth, CAMERA, Options(draws=20), np.random.default_rng(0)), truth
 

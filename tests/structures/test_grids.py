@@ -48,7 +48,7 @@ def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05, slabs=1):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = way, way @ cell + [0.0, 0.0, 0.5 * whole[2]]
         poses.append(floor @ pose)
-    camera = {"fx": 290.0, "fy": 290.0, "cx": 159.5, "cy": 119.5, "width": 320, "height": 240}
+    camera = Camera(290.0, 290.0, 159.5, 119.5, 320, 240)
     depth, _ = render_floor_scene(["box"] * len(cells), np.array(poses), [SIZE] * len(cells), floor, camera)
     depth = depth + SIGMA * np.random.default_rng(1).standard_normal(depth.shape)
     block = make_row(BOX, way, [0.0, 0.0, 0.5 * whole[2]], whole)

@@ -131,7 +131,7 @@ def test_objects_are_called_after_what_they_are_in_the_likeliest_structure():
 def test_a_camera_may_be_a_mapping():
     """As for the other methods: chains asked it for its height."""
     floor = translation(0.0, 0.0, 0.8) @ rotation_x(np.radians(125.0))
-    camera = {"fx": 80.0, "fy": 80.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    camera = Camera(80.0, 80.0, 31.5, 23.5, 64, 48)
     box = floor @ translation(0.0, 0.0, 0.05)
     depth, _ = render_floor_scene(["box"], box[None], np.full((1, 3), 0.1), floor, camera)
     options = Options(method="mcmc", draws=2, warmup=20, chains=1, seed=1)

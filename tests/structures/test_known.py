@@ -46,7 +46,7 @@ def test_identities_and_ways_of_lying(tmp_path):
         [[0, 1.0, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # fmt: skip
     poses = floor @ np.stack([on_edge, translation(0.08, 0.02, 0.05)])
     sizes = np.array([[0.12, 0.08, 0.05], [0.07, 0.07, 0.10]])
-    depth, _ = render_floor_scene(["box", "cylinder"], poses, sizes, floor, camera.to_dict())
+    depth, _ = render_floor_scene(["box", "cylinder"], poses, sizes, floor, camera)
     depth = depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape)
     options = Options(known=library(tmp_path), draws=10, chains=1)
     posterior = infer_structure(depth, camera, options, np.random.default_rng(0))

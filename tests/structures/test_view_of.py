@@ -29,7 +29,7 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.draws.sensor import first_sensor, floor_depth, model_depth, shown, too_far
 
-CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
+CAMERA = Camera(30.0, 30.0, 15.5, 11.5, 32, 24)
 POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))
 NOISE = 0.004
 
@@ -40,7 +40,7 @@ def observation(correlation):
     Of the floor's own pixels the upper half is taken as it is seen.
     """
 
-    plane = floor_depth(POSE, Camera(**CAMERA))
+    plane = floor_depth(POSE, CAMERA)
     depth = np.minimum(plane, 1.2)
     behind = np.zeros(depth.shape, bool)
     behind[:, 24:] = True
@@ -54,7 +54,7 @@ def observation(correlation):
     single[3, 3] = single[20, 12] = np.nan
     return SimpleNamespace(
         factor=1, single=single, single_camera=CAMERA, bend=None, correlation=correlation, things=(), behind=behind,
-        wall=None, whole=None,
+        wall=None, whole=None, whole_camera=None,
         image=image, floor=SimpleNamespace(pose=POSE, inliers=inliers), sigma=np.full(depth.shape, NOISE),
     )  # fmt: skip
 
@@ -76,7 +76,7 @@ def test_what_is_no_part_of_the_scene_bounds_it():
 
 def test_what_a_smaller_image_says_of_the_background_holds_for_each_pixel():
     seen = observation(0.8)
-    twice = {key: 2 * value for key, value in CAMERA.items()}
+    twice = Camera(*(2 * value for value in (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, *CAMERA.shape[::-1])))
     whole = {"single": np.kron(seen.single, np.ones((2, 2))), "factor": 2, "single_camera": twice}
     drawn_from = view_of(SimpleNamespace(**{**vars(seen), **whole})).observed
     assert np.allclose(drawn_from[::2, ::2], view_of(seen).observed, equal_nan=True)
@@ -115,7 +115,7 @@ def test_a_floor_on_which_nothing_stands_stays_where_it_was_found():
 @pytest.mark.parametrize(("height", "correlation", "count"), [(0.006, 0.8, 0), (0.03, 0.8, 1), (0.006, 0.0, 1)])
 def test_what_is_no_higher_than_a_real_floor_is_uneven_is_no_solid(height, correlation, count):
     """The edge of a board on a carpet was a box of 33 x 19 x 0.6 cm on a floor between the two, at P .79."""
-    camera, rules = Camera(**CAMERA), Settings().for_correlation(correlation).rules
+    camera, rules = CAMERA, Settings().for_correlation(correlation).rules
     state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.5 * height], [0.3, 0.2, height]), UPRIGHT, False, FLOOR, 0.0)
     chart, values = make_chart(state, POSE, rules)
     sensor = first_sensor(camera, model_depth(chart, values, camera), chart, values)
@@ -124,7 +124,7 @@ def test_what_is_no_higher_than_a_real_floor_is_uneven_is_no_solid(height, corre
 
 def test_a_row_at_the_limit_of_what_is_far_stays_whole():
     """Of its pixels noise left the nearer ones, which tilted the floor: of 100 tilts 90 % intervals held 86."""
-    camera = Camera(**CAMERA)
+    camera = CAMERA
     chart, values = make_chart(State(), translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(113)), Settings().rules)
     exact = model_depth(chart, values, camera)
     off = np.abs(exact - 2.5 * np.median(exact))

@@ -37,7 +37,7 @@ def film(rng, types, sizes, paths, views=None):
     for t, row in enumerate(paths):
         floor = view() if views is None else views[t]
         posed = floor @ np.asarray(row)
-        depth, _ = render_floor_scene(types, posed, sizes, floor, CAMERA.to_dict())
+        depth, _ = render_floor_scene(types, posed, sizes, floor, CAMERA)
         frames.append(depth + NOISE * rng.standard_normal(depth.shape))
         poses.append(posed)
     return np.array(frames), np.array(poses)

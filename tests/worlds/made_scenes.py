@@ -1,6 +1,6 @@
 """Scenes with known truth for scripts/evaluate.py: settled, noisy, mixed, tower, groups, cubes, bridge.
 
-A scene is a dict: depth (H, W) float64 metres with NaN where nothing returned, camera (fx, fy, cx, cy, width, height),
+A scene is a dict: depth (H, W) float64 metres with NaN where nothing returned, its Camera,
 label (H, W) int32 (index of the object, -1 floor, -2 nothing), and objects: list of dicts with type, size (3,),
 pose (4, 4) object to camera, parent ("floor" or an index), pixels (how many are visible), and in the set `bridge`
 supports (indices of what else carries it).
@@ -88,12 +88,10 @@ FIELD_OF_VIEW = np.radians(60.0)
 KINECT_DISPARITY = 580.0 * 0.075  # focal length in pixels times baseline in metres
 
 
-def camera_of(width: int, height: int) -> dict[str, float]:
-    """Return the intrinsics dict of the pinhole camera that sees the scenes."""
+def camera_of(width: int, height: int) -> Camera:
+    """Return the pinhole camera that sees the scenes."""
     focal = width / 2 / np.tan(FIELD_OF_VIEW / 2)
-    return {
-        "fx": focal, "fy": focal, "cx": (width - 1) / 2, "cy": (height - 1) / 2, "width": width, "height": height,
-    }  # fmt: skip
+    return Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
 def look_at(rng: np.random.Generator, distance: float, elevation: float, target: np.ndarray) -> np.ndarray:
@@ -169,13 +167,13 @@ def stack(rng: np.random.Generator, count: int) -> tuple[list[str], np.ndarray, 
 
 
 def render_floor_scene(
-    kinds: list[str], poses: np.ndarray, sizes: Any, floor_pose: np.ndarray, camera: Any
+    kinds: list[str], poses: np.ndarray, sizes: Any, floor_pose: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return depth (H, W), NaN where nothing is hit, and label (H, W) of solids over a floor.
 
-    poses : (N, 4, 4) object to camera; floor_pose : (4, 4) floor to camera; camera : dict of intrinsics.
+    poses : (N, 4, 4) object to camera; floor_pose : (4, 4) floor to camera.
     """
-    blank = np.zeros((camera["height"], camera["width"]))
+    blank = np.zeros(camera.shape)
     image = make_image(blank, 1.0, camera, floor_pose)
     local = np.linalg.inv(floor_pose) @ poses
     rows = np.array(

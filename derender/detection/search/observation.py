@@ -18,7 +18,6 @@ from derender.detection.floor import (
     USUAL,
     Floor,
     NoFloor,
-    back_project,
     bend_of,
     drawn,
     floor_beside,
@@ -45,16 +44,7 @@ from derender.detection.floors import (
     tolerance_of,
 )
 from derender.detection.patches import Patches, SeenSurface, find_patches
-from derender.detection.pyramid import (
-    blurred_jumps,
-    estimate_blur,
-    reduce,
-    reduced_by,
-    reduced_camera,
-    sampled,
-    single_pixels,
-    unmixed,
-)
+from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.scene.priors.bare_image import Floors
@@ -104,13 +94,13 @@ class Observation(NamedTuple):
     mask: np.ndarray  # (H, W) bool, pixels that solids must explain
     footprint: np.ndarray  # (H, W) metres across a pixel
     sigma: np.ndarray  # (H, W) metres of noise
-    camera: dict
+    camera: Camera
     factor: int  # of reduction
     correlation: float
     background: float  # share of the pixels that show what is neither floor nor solid, and is taken as it is seen
     behind: np.ndarray  # (H, W) bool, those pixels; not those of the floor that are taken as they are seen
     single: np.ndarray
-    single_camera: dict
+    single_camera: Camera
     beyond: np.ndarray  # (H, W) metres by which points lie beyond the outline of the visible floor, negative over it
     backdrop: bool  # whether that is a plane that would have been the floor, where there is to be none
     no_floor: bool = False
@@ -123,7 +113,7 @@ class Observation(NamedTuple):
     rivals: tuple = ()  # planes that may be the floor instead, each a Rival, the likeliest first
     # (H, W) metres, and its camera: the image of independent noise as it came, where `single` is a part of its pixels
     whole: np.ndarray | None = None
-    whole_camera: dict | None = None
+    whole_camera: Camera | None = None
 
     @property
     def scale(self) -> float:
@@ -168,7 +158,7 @@ class Support(NamedTuple):
         return cls(normal, float(normal @ floor.pose[:3, 3]), None)
 
 
-def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 160,
+def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
             plane: "np.ndarray | str | Support | None" = None, floating: bool = False,
             fills: bool = False, believed: Floors | None = None) -> Observation:  # fmt: skip
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
@@ -179,7 +169,6 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     """
     believed = bare_image().loose.floor if believed is None else believed
     rounding = rounding_of(depth)
-    gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     whole, whole_camera = depth, camera
     factor = reduced_by(whole, widest)
     sigma = pixel_noise(whole)
@@ -188,7 +177,7 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     if isinstance(plane, Support):
         others = None if plane.others is None else single_pixels(plane.others, factor) > 0.0
         alone = depth if others is None else np.where(others, np.nan, depth)
-        seen_points = back_project(alone, camera)[np.isfinite(alone)]
+        seen_points = camera.points(alone)[np.isfinite(alone)]
         near = tolerance_of(seen_points[:, 2], pixel_noise(depth))
         _, at = near_plane(seen_points, near, plane.normal, plane.offset)
         candidate = Candidate(plane.normal, plane.offset, at, 0.0)
@@ -201,29 +190,27 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
         backdrop = find_backdrop(depth, camera, believed) if isinstance(plane, str) else None
         seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
-        seen = likeliest(depth, camera, factor, gravity, rounding, floating, believed)
+        seen = likeliest(depth, camera, factor, rounding, floating, believed)
     if seen.correlation <= CORRELATED and factor == 2 and reduced_by(whole, MOST_DRAWN) == 1:
-        whole, camera, _ = reduce(whole, whole_camera, whole.shape[1])
-        return seen._replace(single=whole, single_camera=camera)
+        whole, _, _ = reduce(whole, whole_camera, whole.shape[1])
+        return seen._replace(single=whole, single_camera=whole_camera)
     if seen.correlation > CORRELATED:  # what a real sensor shows at its edges is no mixture by a blur alone
         return seen._replace(single=single_pixels(np.where(beside, np.nan, whole), factor))
     single = single_pixels(unmixed(whole, beside, blurred, sigma), factor)
-    return seen._replace(single=single, whole=whole if factor > 1 else None,
-                         whole_camera=reduced_camera(whole_camera, 1, whole.shape))  # fmt: skip
+    return seen._replace(single=single, whole=whole if factor > 1 else None, whole_camera=whole_camera)
 
 
-def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity: Any, rounding: float,
-              floating: bool, believed: Floors) -> Observation:  # fmt: skip
+def likeliest(
+    depth: np.ndarray, camera: Camera, factor: int, rounding: float, floating: bool, believed: Floors
+) -> Observation:
     """Return the Observation over the likeliest floor of a reduced image, the others as its rivals; or without a floor.
 
     Floors that come near the first are weighed by what they explain, see `odds_among`. Only what a sensor saw is
     weighed so; what is drawn shows the floor of its prior.
-
-    gravity : see `floors_of`.
     """
     found: list[Observation] = []
     try:
-        candidates = floors_of(depth, camera, gravity, believed)
+        candidates = floors_of(depth, camera, camera.gravity, believed)
     except NoFloor:
         candidates = []
     for candidate in candidates:
@@ -240,7 +227,7 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     if not found:
         return without_floor(depth, camera, factor, rounding)
-    odds = np.array([odds_among(seen, found, gravity is not None, believed) for seen in found])
+    odds = np.array([odds_among(seen, found, camera.gravity is not None, believed) for seen in found])
     probability = np.exp(odds - odds.max())
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
@@ -267,11 +254,11 @@ def odds_among(seen: Observation, found: list[Observation], level: bool, believe
     return float(prior[0] + believed.explained * np.log(max(explained, 1.0) / own.size))
 
 
-def over_candidate(depth: np.ndarray, camera: dict[str, float], factor: int, candidate: Candidate, rounding: float,
+def over_candidate(depth: np.ndarray, camera: Camera, factor: int, candidate: Candidate, rounding: float,
                    floating: bool, others: np.ndarray | None = None) -> Observation | None:  # fmt: skip
     """Return the Observation of a reduced image over a Candidate, see `on_its_floor`; None where no plane fits."""
     alone = depth if others is None else np.where(others, np.nan, depth)
-    points = back_project(alone, camera)
+    points = camera.points(alone)
     for share in WIDTHS:
         with contextlib.suppress(NoFloor):
             floor = fitted(alone, points, candidate, share)
@@ -287,7 +274,7 @@ def plane_of(floor: Floor) -> tuple[float, float, float, float]:
     return a, b, c, -float(floor.pose[:3, 2] @ floor.pose[:3, 3])
 
 
-def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, rounding: float,
+def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, rounding: float,
                  floating: bool, others: np.ndarray | None = None) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
 
@@ -304,7 +291,7 @@ def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor
     depth = depth + bend
     if bend.any():
         normal = floor.pose[:3, 2]
-        points = back_project(depth, camera)
+        points = camera.points(depth)
         floor = plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma)
     if seen.mask.any():
         floor = floor_beside(floor, depth, camera, seen.mask)
@@ -315,12 +302,12 @@ def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor
     return straight._replace(bend=bend, correlation=seen.correlation)
 
 
-def shared_by_neighbours(depth: np.ndarray, floor: Floor, camera: dict[str, float], rounding: float) -> float:
+def shared_by_neighbours(depth: np.ndarray, floor: Floor, camera: Camera, rounding: float) -> float:
     """Return the correlation of neighbouring pixels' noise, see `Observation`. rounding : metres, see `rounding_of`."""
     return 0.0 if drawn(depth, floor, camera, rounding) else neighbour_correlation(depth, floor, camera)
 
 
-def without_floor(depth: np.ndarray, camera: dict[str, float], factor: int, rounding: float) -> Observation:
+def without_floor(depth: np.ndarray, camera: Camera, factor: int, rounding: float) -> Observation:
     """Return the Observation of an image without a plane that could be the floor: all is background as it is seen."""
     seen = tell_apart(depth, camera, factor, given_floor(depth, camera, "none"), None, rounding)
     off = seen.image.weight > 0
@@ -328,7 +315,7 @@ def without_floor(depth: np.ndarray, camera: dict[str, float], factor: int, roun
     return seen._replace(mask=np.zeros_like(off), behind=off, background=1.0, no_floor=True, correlation=1.0)
 
 
-def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, backdrop: Any, rounding: float,
+def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, backdrop: Any, rounding: float,
                floating: bool = False, others: Any = None, fills: bool = False) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
@@ -344,10 +331,10 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
         sigma = np.hypot(sigma, np.fmin(bare_image().loose.faces, sensor_deviation(depth)))
     image = make_image(depth, sigma, camera, floor.pose, blur)
     on_wall, wall = raise_wall(image)
-    points = back_project(depth, camera) - floor.pose[:3, 3]
+    points = camera.points(depth) - floor.pose[:3, 3]
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
     good = image.weight > 0
-    footprint = np.nan_to_num(depth) / camera["fx"]
+    footprint = np.nan_to_num(depth) / camera.fx
     beyond_edge = beyond_outline(points, main_part(points, floor.inliers, footprint, image.origin), good, image.origin)
     scale = scale_of(depth, floor)
     inside = good & (beyond_edge < MARGIN * scale)

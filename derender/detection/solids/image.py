@@ -5,18 +5,15 @@ Detection and the draws of bare scenes work in the *floor frame*: z up, the floo
 A pixel's ray is origin + depth * direction with depth along the camera's z, so depths need no conversion.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
-from derender.detection.pyramid import intrinsics
 from derender.render.blur import blur_taps
 from derender.render.raycast.convex import PREPARED, inverse_depths, prepare_solid
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
 
 KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
 FAR = 1e9
@@ -41,25 +38,17 @@ class Image(NamedTuple):
 
 
 def make_image(
-    depth: np.ndarray,
-    sigma: float | np.ndarray,
-    camera: "Camera | dict[str, float]",
-    floor_pose: np.ndarray,
-    blur: float = 0.0,
+    depth: np.ndarray, sigma: float | np.ndarray, camera: Camera, floor_pose: np.ndarray, blur: float = 0.0
 ) -> Image:
     """Return the Image of an observation.
 
     depth : (H, W) float metres, NaN or 0 = no return.
     sigma : (H, W) float or float, standard deviation of the noise in metres.
-    camera : anything with fx, fy, cx, cy as attributes or a dict of them.
     floor_pose : (4, 4) floor frame (z up) to camera.
     blur : standard deviation in pixels of the Gaussian blur of Eq. 6.
     """
-    fx, fy, cx, cy = intrinsics(camera)
-    height, width = depth.shape
     rotation, shift = floor_pose[:3, :3], floor_pose[:3, 3]
-    column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    direction = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones_like(column)], axis=-1) @ rotation
+    direction = camera.rays() @ rotation
     origin = -rotation.T @ shift
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = np.where(direction[..., 2] < -1e-9, -origin[2] / direction[..., 2], FAR)
@@ -67,7 +56,16 @@ def make_image(
     good = np.isfinite(depth) & (depth > 0)
     weight = np.where(good, 0.5 / np.broadcast_to(sigma, depth.shape) ** 2, 0.0)
     filled = np.where(good, depth, 0.0)
-    arrays = filled, weight, direction, origin, floor, [fx, fy, cx, cy], floor_pose, taps_of(blur)
+    arrays = (
+        filled,
+        weight,
+        direction,
+        origin,
+        floor,
+        [camera.fx, camera.fy, camera.cx, camera.cy],
+        floor_pose,
+        taps_of(blur),
+    )
     return Image(*(np.ascontiguousarray(each, dtype=np.float64) for each in arrays))
 
 

@@ -135,7 +135,7 @@ def view_of(seen: Any) -> View:
 
     Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`).
     """
-    camera = Camera(**seen.single_camera)
+    camera = seen.single_camera
     observed, whole = seen.single, seen.whole  # what all pixels of a block say is bent where an edge runs through it
     there = partial(of_whole_image, seen=seen, shape=observed.shape)
     if seen.bend is not None:
@@ -148,8 +148,7 @@ def view_of(seen: Any) -> View:
         observed = np.where(there(as_seen) & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
         observed = with_out_of_reach(observed, floor)
         whole = None if whole is None else np.where(of_whole_image(as_seen, seen, whole.shape), -whole, whole)
-    known = None if whole is None else Camera(**seen.whole_camera)
-    return View(camera, observed, np.eye(4), seen.correlation > CORRELATED, seen.wall, whole, known)
+    return View(camera, observed, np.eye(4), seen.correlation > CORRELATED, seen.wall, whole, seen.whole_camera)
 
 
 def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
