@@ -12,7 +12,7 @@ import numpy as np
 
 from derender.physics.balance import BALANCED, equilibrium, greatest, least_push
 from derender.physics.bodies import KINDS, Body, Matter, clamped_masses, pair_frictions
-from derender.physics.contact_points import across, all_contacts
+from derender.scene.contact_points import across, all_contacts
 
 # Bodies without a contact in the graph touch where they are no further apart than this share of the smallest extent.
 NEAR = 2e-3

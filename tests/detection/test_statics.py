@@ -5,7 +5,7 @@ import pytest
 
 from derender.detection.solids.image import KINDS, make_row
 from derender.detection.solids.state import FLOOR
-from derender.detection.solids.support import least_forces, push_on, shares_of_load
+from derender.detection.solids.support import contacts_of, least_forces, shares_of_load
 from derender.scene.separation import surface_distance
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from worlds.made_scenes import random_size, settle
@@ -58,7 +58,9 @@ def test_distances_are_to_the_surface(kind):
 @pytest.mark.parametrize("kind", [BOX, SPHERE, CYLINDER])
 def test_what_stands_on_a_box_is_pushed_up_by_it(kind):
     below = upright([0.0, 0.0, 0.05], [0.1, 0.1, 0.1])
-    assert push_on(upright([0.03, 0.02, 0.149], [0.1, 0.1, 0.1], kind), below) == pytest.approx([0, 0, 1.0])
+    rows = np.array([upright([0.03, 0.02, 0.149], [0.1, 0.1, 0.1], kind), below])
+    carriers, points, normals = contacts_of(rows, 0, 0.003)
+    assert set(carriers) == {1} and np.allclose(normals, [0, 0, 1.0]) and np.allclose(points[:, 2], 0.1, atol=0.002)
 
 
 @pytest.mark.parametrize("count", [1, 12, 96, 288])

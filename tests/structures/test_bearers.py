@@ -48,7 +48,7 @@ def chances(foot, friction):
 def test_a_parent_that_hangs_on_friction_is_open():
     open_one = chances(0.09, Loose().friction)
     assert 0.1 < open_one[FLOOR] < 0.9 and sum(open_one.values()) == pytest.approx(1.0)
-    assert chances(0.03, Loose().friction)[FLOOR] > 0.9  # a steep board stands on the floor by nearly any friction
+    assert chances(0.03, Loose().friction)[FLOOR] > 0.85  # a steep board stands on the floor by nearly any friction
 
 
 def test_the_friction_of_the_file_decides():

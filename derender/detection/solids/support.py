@@ -11,76 +11,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from derender.detection.solids.image import Image, prepared_row, rotation_of
-from derender.detection.solids.interpenetration import clamp_direction, highest, lowest, overlap_along, penetration
+from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import UPRIGHT, contact_energy, size_energy
 from derender.detection.solids.state import FLOOR, NOTHING, State, held_out, in_the_way
+from derender.scene.contact_points import all_contacts
 from derender.scene.friction import RESTING
-from derender.scene.separation import surface_distance
-from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.scene.solids import BOX, CYLINDER, PLANE
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
 
-MOST_POINTS = 24  # of each pair
-ALONG, AROUND = 17, 48  # points along an edge of a box and around a rim of a cylinder
 RIDGE = 1e-2
 EVEN = 1e-10  # of the weight: forces and slopes up to it are rounding
 UNBALANCED = 0.2  # of the weight that no force holds: then the contacts that were seen do not explain why it rests
 
 
-def edge_points(row: np.ndarray) -> np.ndarray:
-    """Return (K, 3) points on the edges of a solid: where it can touch another one there is one of either's near."""
-    if int(row[0]) == SPHERE:
-        return np.empty((0, 3))
-    half, steps = 0.5 * row[13:16], np.linspace(-1.0, 1.0, ALONG)
-    if int(row[0]) == CYLINDER:
-        angle = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
-        rim = np.column_stack([half[0] * np.cos(angle), half[0] * np.sin(angle)])
-        heights = np.concatenate([[1.0, -1.0], steps[1:-1:2]]) * half[2]
-        local = np.array([[*place, height] for height in heights for place in rim])
-    else:
-        signs = np.array([[a, b] for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
-        local = np.concatenate([
-            np.insert(np.repeat(signs, ALONG, axis=0), axis, np.tile(steps, 4), axis=1) * half for axis in range(3)
-        ])  # fmt: skip
-    return row[10:13] + local @ rotation_of(row).T
-
-
-def push_on(row: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the unit vector (3,) along which a solid that touches another is pushed by it: their shadows on it
-    overlap least (the separating axis)."""
-    first, second, between = rotation_of(row).T, rotation_of(other).T, row[10:13] - other[10:13]
-    axes = [*first, *second, *(np.cross(a, b) for a in first for b in second), between]
-    for solid, centre in ((row, other[10:13]), (other, row[10:13])):
-        beyond = np.array(clamp_direction(solid, *centre))
-        axes += [beyond, beyond - (beyond @ first[2]) * first[2], beyond - (beyond @ second[2]) * second[2]]
-    axes = [axis / np.linalg.norm(axis) for axis in axes if np.linalg.norm(axis) > 1e-6]
-    best = min(axes, key=lambda axis: overlap_along(row, other, *axis))
-    return best if best @ between > 0 else -best
-
-
-def touching_points(row: np.ndarray, other: np.ndarray | None, reach: float) -> np.ndarray:
-    """Return the points (K, 3) where a solid touches another (None: the floor)."""
-    if other is None:
-        own = edge_points(row) if int(row[0]) != SPHERE else row[None, 10:13] - [0.0, 0.0, 0.5 * row[13]]
-        points = own[own[:, 2] < reach]
-    elif penetration(row, other) < -reach:
-        return np.empty((0, 3))
-    elif SPHERE in (int(row[0]), int(other[0])):
-        ball = row if int(row[0]) == SPHERE else other
-        towards = push_on(row, other) * (-0.5 if ball is row else 0.5) * ball[13]
-        points = ball[None, 10:13] + towards
-    else:
-        found = []
-        for first, second in ((row, other), (other, row)):
-            edges = edge_points(first)
-            away = surface_distance(int(second[0]), second[13:16], (edges - second[10:13]) @ rotation_of(second))
-            found.append(edges[np.abs(away) < reach])
-        points = np.concatenate(found)
-    if len(points) > MOST_POINTS:
-        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(int)]
-    return points
+def contacts_of(rows: np.ndarray, k: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return of each point where solid k touches others: by what (an index or FLOOR), (P, 3) where, and (P, 3) along
+    which unit vector it is pushed there."""
+    count = len(rows) + 1
+    pose, size, none = np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.empty((0, 3))
+    pose[1:, :3, :3], pose[1:, :3, 3], size[1:] = rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13], rows[:, 13:16]
+    kind, starts = np.array([PLANE, *rows[:, 0]], np.int64), np.zeros(count + 1, np.int64)
+    numbers, joined = np.arange(count), np.zeros((count, count), bool)
+    first, second, points, normals, _ = all_contacts(
+        kind, pose, size, none, starts, none, starts, numbers, numbers != k + 1, joined, reach, reach,
+        np.array([reach, reach]), reach,
+    )  # fmt: skip
+    own = first == k + 1
+    return np.where(own, second, first) - 1, points, np.where(own[:, None], normals, -normals)
 
 
 def shares_of_load(
@@ -91,36 +51,28 @@ def shares_of_load(
     rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching.
     friction : (N + 1,) coefficients of its contacts with each of the others, that with the floor last; None: RESTING.
     """
-    row = rows[k]
-    friction = np.full(len(rows) + 1, RESTING) if friction is None else friction
-    columns, carriers = [], []
-    for other in (FLOOR, *(j for j in range(len(rows)) if j != k)):
-        points = touching_points(row, None if other == FLOOR else rows[other], reach)
-        if len(points) == 0:
-            continue
-        normal = np.array([0.0, 0.0, 1.0]) if other == FLOOR else push_on(row, rows[other])
-        if normal[2] < -0.5:  # it is what stands on the solid
-            continue
-        across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
-        across /= np.linalg.norm(across)
-        other_way = np.cross(normal, across)
-        pyramid = normal + friction[other] * np.array([across, -across, other_way, -other_way])
-        force = np.tile(pyramid, (len(points), 1))
-        turning = np.cross(np.repeat(points - row[10:13], len(pyramid), axis=0), force) / row[13:16].max()
-        columns.append(np.hstack([force, turning]))
-        carriers += [other] * len(force)
-    if not columns:
+    rows, friction = np.array(rows), np.full(len(rows) + 1, RESTING) if friction is None else friction
+    carriers, points, normals = contacts_of(rows, k, reach)
+    below = normals[:, 2] > -0.5  # what is above stands on the solid
+    carriers, points, normals = carriers[below], points[below], normals[below]
+    if len(carriers) == 0:
         return {}
-    matrix, weight = np.concatenate(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    axis = np.where(np.abs(normals[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    across = np.cross(normals, axis)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    sides = np.stack([across, -across, (other_way := np.cross(normals, across)), -other_way], axis=1)
+    force = normals[:, None] + friction[carriers][:, None, None] * sides
+    turning = np.cross((points - rows[k, 10:13])[:, None], force) / rows[k, 13:16].max()
+    matrix = np.concatenate([force, turning], axis=2).reshape(-1, 6).T
+    carriers = np.repeat(carriers, sides.shape[1])
+    weight = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     forces = least_forces(matrix, weight, RIDGE)
     # the ridge alone lets a share of the weight go
     held = matrix @ forces
     if np.linalg.norm(held / max(held[2], 1e-9) - weight) > UNBALANCED:
         return {}
-    shares: dict[int, float] = {}
-    for carrier, force, lift in zip(carriers, forces, matrix[2], strict=True):
-        shares[carrier] = shares.get(carrier, 0.0) + float(force * lift / held[2])
-    return shares
+    borne = forces * matrix[2] / held[2]
+    return {int(carrier): float(borne[carriers == carrier].sum()) for carrier in np.unique(carriers)}
 
 
 NEAR = 0.006
