@@ -32,7 +32,6 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 SHEET, THIN = 0.2, 0.015
 SUNK = 0.15  # of a ball's diameter, or a tilted box's least side, that lies in others, from which on it is none
 HELD = 0.01  # metres between solids that are parts of one
-TILTED = np.cos(np.radians(10.0))  # of a solid's axis nearest to the vertical: it stands on an edge or a corner
 # Of the lower one's diameter, and of its radius: a cylinder on another that is so narrow and so near its axis is the
 # neck of a bottle.
 NECK, COAXIAL = 0.6, 0.5
@@ -64,9 +63,7 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
     masks : [(H, W) bool] of free-form things.
     """
     masks, surface = list(masks), seen.surface
-    while parts := (
-        held_by_another(state) or each_other(state) or falling(state) or neck(state, seen.image) or gable(seen, state)
-    ):
+    while parts := held_by_another(state) or falling(state) or neck(state, seen.image):
         state, found = joined(seen, state, parts)
         masks += found
     if not masks and not len(state):
@@ -222,12 +219,6 @@ def falling(state: State) -> tuple[int, ...] | None:
     return None
 
 
-def tilted(row: np.ndarray) -> bool:
-    """Return whether a box or a cylinder neither stands nor lies: one flat top could not hold it as it is."""
-    up = np.abs(rotation_of(row)[2])
-    return (max(up) if int(row[0]) == BOX else max(up[2], np.hypot(up[0], up[1]))) < TILTED
-
-
 def held_by_another(state: State) -> tuple[int, int] | None:
     """Return (i, j), a solid over nothing and the one on whose round side it is held, neither with others on it."""
     for i, row in enumerate(state.rows):
@@ -240,12 +231,6 @@ def held_by_another(state: State) -> tuple[int, int] | None:
             if state.parents[i] == j or gap_between(row, other) < HELD:
                 return i, j
     return None
-
-
-def each_other(state: State) -> tuple[int, int] | None:
-    """Return (i, j), two solids that rest on each other and on nothing else: neither could be there first."""
-    pairs = ((i, j) for i, j in enumerate(state.parents) if j != FLOOR and state.parents[j] == i)
-    return next(pairs, None)
 
 
 def neck(state: State, image: Image | None = None) -> tuple[int, int] | None:
@@ -301,20 +286,6 @@ def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:
     if axis is None or axis[1] > SAME_WIDTH * radius:
         return None
     return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < COAXIAL * radius else None
-
-
-def gable(seen: Observation, state: State) -> tuple[int, int] | None:
-    """Return (i, j), a tilted solid and what alone bears it, from which it goes on across a convex edge; else None."""
-    surface, normal, label = seen.surface, None, held_out(seen.image, state, -1)[1]
-    for i, row in enumerate(state.rows):
-        for j in alone_on(state, i):
-            if state.forms[i] != FREE or not tilted(row):
-                continue
-            if normal is None:
-                normal = surface.normals(surface.good)
-            if goes_on(surface, label == i, label == j, normal):
-                return i, j
-    return None
 
 
 def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarray) -> int | None:

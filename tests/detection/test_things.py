@@ -11,7 +11,6 @@ from derender.camera.intrinsics import Camera
 from derender.detection import estimate
 from derender.detection.compounds import (
     below_cap,
-    each_other,
     falling,
     goes_on,
     hangs_on,
@@ -420,13 +419,6 @@ def test_what_stands_about_the_axis_of_a_cylinder_is_its_cap():
         row = make_row(CYLINDER, place[:3, :3], place[:3] @ [0.0, 0.0, 0.5 * tall, 1.0], np.array([0.12, 0.12, tall]))
         over = seen.mask & (seen.points[..., 2] > tall + 0.003)
         assert over.sum() > 50 and below_cap(seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), over) == expected
-
-
-def test_solids_that_rest_on_each_other_and_on_nothing_else_are_one():
-    row = make_row(BOX, np.eye(3), np.zeros(3), np.full(3, 0.1))
-    leans = State().add(row, FREE, False, 1)
-    assert each_other(leans.add(row, FREE, False, 0)) == (0, 1)
-    assert each_other(leans.add(row, UPRIGHT, False, FLOOR, 0.0)) is None
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():

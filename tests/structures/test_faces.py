@@ -111,7 +111,7 @@ def test_how_much_pixels_tell_that_err_together_is_in_the_file():
     tempers = [settings.for_correlation(r).temper for r in (0.2, 0.5, 0.9)]
     assert tempers == pytest.approx([1.0, 3.0**1.2, 4.0**1.2])
     assert Settings().for_correlation(0.5).temper == pytest.approx(3.0**1.5)
-    wide = SimpleNamespace(correlation=0.5, camera={"width": 640})
+    wide = SimpleNamespace(correlation=0.5, camera=Camera.from_field_of_view(640, 480))
     assert settings_for(settings, wide).temper == pytest.approx(4.0 * 3.0**1.2)
 
 
