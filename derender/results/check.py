@@ -170,7 +170,7 @@ def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np
     (Of 107 answers to images of white noise 15 had such: 13 of these were wrong, of the other 92 nine.)
     """
     regions = [region for region in windows(spots, valid) if fit.background[region.mask].mean() < 0.5]
-    where = " and ".join(region.where for region in regions)
+    where = " and ".join(dict.fromkeys(region.where for region in regions))
     words = f"what is seen {where} is not where this scene has it, by more than its noise"
     return [Doubt(words, True, tuple(regions))] if regions else []
 

@@ -80,6 +80,9 @@ def test_windows_that_noise_does_not_explain_are_told():
     )
     assert doubt.serious and doubt.words.startswith("what is seen right of the middle is not where this scene has it")
     assert doubt.regions[0].mask.sum() == 12 * 8 and doubt.regions[0].mask[48:60, 120:128].all()
+    twice = [[0.4, 0.5, 0.75, 0.8], [0.45, 0.55, 0.75, 0.8]]
+    (doubt,) = check_fit(TRUE, fit_of(TRUE, CAMERA, seen, LIKELIHOOD), CAMERA, seen, LIKELIHOOD, twice)
+    assert len(doubt.regions) == 2 and "of the middle and" not in doubt.words  # two in one place are said once
     seen[:48] = 3.0  # a room behind
     fit = fit_of(TRUE, CAMERA, seen, LIKELIHOOD, seen)
     assert check_fit(TRUE, fit, CAMERA, seen, LIKELIHOOD, [[0.1, 0.2, 0.75, 0.8]]) == ()
