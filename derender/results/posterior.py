@@ -50,7 +50,8 @@ class StructurePosterior:
         with "root." or "likelihood." are no numbers of the graph.
     weight_interval : in which it lies with 90 %; None where nothing was said of its error.
     root_pose : (chains, draws, 4, 4) float64 where the root's pose is unknown, else None: the graph has it.
-    extras : numbers and arrays worth keeping, by name (acceptance by kernel, evidence ...).
+    extras : numbers and arrays worth keeping, by name (acceptance by kernel, evidence ...); `absent`, the names of what
+        is no object in this structure though it is one in others that are alike.
     """
 
     graph: SceneGraph  # a SceneGraph with this structure; its numbers that are no unknowns are the fixed ones
@@ -94,6 +95,10 @@ class StructurePosterior:
         """Return the numbers of the likelihood that are unknown, by name, in one draw."""
         told = zip(self.addresses, self.values[chain, draw].tolist(), strict=True)
         return {a.removeprefix("likelihood."): x for a, x in told if a.startswith("likelihood.")}
+
+    def tells_of(self, name: str) -> bool:
+        """Whether an object of this name shows in the structure: as one, or as what is clutter here."""
+        return name in self.graph.names or name in self.extras.get("absent", ())
 
     @property
     def best_place(self) -> tuple[int, int]:
@@ -168,7 +173,7 @@ class Posterior:
         a search may have missed as often as the prior says, see `Missed`: where it is likelier that something was,
         more was. How often a free-form thing is an object was counted over all answers."""
         total = sum(part.weight for part in self.parts)
-        there = float(sum(part.weight for part in self.parts if name in part.graph.names) / total) if total else 0.0
+        there = float(sum(part.weight for part in self.parts if part.tells_of(name)) / total) if total else 0.0
         if name in self.meta.get("existence", {}):
             return there * self._existence(name)[0]
         return there * (1.0 - self.meta.get("missed", 0.0) ** 2 * self.meta.get("wrong_if_missed", 0.0))
@@ -180,8 +185,8 @@ class Posterior:
 
     def object_probability_error(self, name: str) -> float:
         """Return the standard error of that probability, from those of the weights."""
-        there = [part.weight_error for part in self.parts if name in part.graph.names]
-        gone = [part.weight_error for part in self.parts if name not in part.graph.names]
+        there = [part.weight_error for part in self.parts if part.tells_of(name)]
+        gone = [part.weight_error for part in self.parts if not part.tells_of(name)]
         known = min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
         return float(np.hypot(known, self._existence(name)[1]))
 
@@ -314,7 +319,7 @@ HEADER = {
     "parts": [{
         "scene": str, "objects": [str], "addresses": [str], "weight": float, "weight_error?": float,
         "weight_interval?": {(float, float), None}, "periods": [{float, None}],
-        "extras": {"likelihood?": LIKELIHOOD, "log_evidence?": [float]},
+        "extras": {"absent?": [str], "likelihood?": LIKELIHOOD, "log_evidence?": [float]},
     }],
 }  # fmt: skip
 

@@ -16,6 +16,7 @@ from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Missed
 from derender.structures.case import Case, whole_camera
 from derender.structures.options import Frame
+from derender.structures.parts import MOST_STRUCTURES, likeliest
 
 if TYPE_CHECKING:
     from derender.posterior.target import ObservedImage
@@ -54,6 +55,10 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         if share < LEAST_FITTING:  # what is seen elsewhere, or is none
             known, error = meta["existence"].get(name, (1.0, 0.0))
             meta["existence"][name] = (share * known, error)
+    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"])))
+    if posterior.best_graph().names != graph.names:
+        graph = posterior.best_graph()
+        told = explanation_of(graph, observations, case.depth, case.camera)
     believed = case.beliefs.loose.missed
     if case.library:  # of whose answers no spots are counted
         extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}
@@ -62,8 +67,45 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     stands = not case.settings.may_float and any(vertex.body.size() is None for vertex in graph.vertices)
     meta.update(missed=missed, wrong_if_missed=believed.wrong, hanging=hanging if stands else [])
     return replace(
-        posterior, parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in parts), explanation=told
+        posterior,
+        parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in posterior.parts),
+        explanation=told,
     )
+
+
+def with_absences(
+    parts: "list[StructurePosterior]", existence: dict[str, tuple[float, float]]
+) -> "list[StructurePosterior]":
+    """Return the structures with all of their objects, and those in which some of them are none but clutter.
+
+    So that no structure is likelier than each of its objects. What something stands on is one in all. Of each structure
+    the likeliest choices are told, the one with most draws with all of them; what others hold is nobody's.
+
+    existence : by name, (probability that it is an object, whatever else is one; standard error of that).
+    """
+    from derender.structures.free_forms import without_object
+
+    found: dict[object, StructurePosterior] = {}
+    for number, part in enumerate(parts):
+        held = {on for vertex in part.graph.vertices for on in (vertex.parent, *vertex.supports)}
+        doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
+        shares = [np.array([known, 1.0 - known]) for known, _ in doubted.values()]
+        most = float(np.prod([share.max() for share in shares]))
+        for chosen, odds in likeliest(shares):
+            absent = [name for name, choice in zip(doubted, chosen, strict=True) if choice]
+            own = part.best_only() if absent else part
+            for name in absent:
+                own = without_object(own, name)
+            told = [share[choice] for share, choice in zip(shares, chosen, strict=True)]
+            errors = [error / max(p, error) for p, (_, error) in zip(told, doubted.values(), strict=True) if error]
+            own = own.scaled(odds * most, odds * most * float(np.linalg.norm(errors)))
+            key: object = own.graph.structure() if absent else number
+            if absent:
+                own = replace(own, extras={**own.extras, "absent": absent})
+            if key in found and found[key].weight > 0.0:  # two that differed in what is clutter in both
+                own = found[key].scaled(1.0 + own.weight / found[key].weight)
+            found[key] = own
+    return sorted(found.values(), key=lambda part: -part.weight)[: max(MOST_STRUCTURES, len(parts))]
 
 
 def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],

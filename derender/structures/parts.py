@@ -1,4 +1,4 @@
-"""Draws of the unknown numbers of one structure as a part of a posterior."""
+"""Parts of a posterior: draws of the unknown numbers of one structure, and what all of its objects may be."""
 
 import math
 from typing import Any
@@ -9,6 +9,8 @@ from derender.posterior.kernels.base import Part
 from derender.posterior.target import SceneTarget
 from derender.results.posterior import StructurePosterior
 from derender.sampling.chains import Record
+
+LEAST_LIKELY, MOST_STRUCTURES = 1e-3, 24  # share of the likeliest's weight that one told has; how many, at most
 
 
 def part_of(target: SceneTarget, records: list[Record], mixed: list[Part]) -> StructurePosterior | None:
@@ -45,3 +47,17 @@ def part_of_one(target: SceneTarget, values: np.ndarray, weight: float, extras: 
     """Return values (P,) as a posterior's part of one draw."""
     densities = np.array([[[target.log_prior(values), target.log_likelihood(values)]]])
     return part_at(target, values[None, None], densities, weight, extras)
+
+
+def likeliest(shares: list[np.ndarray]) -> list[tuple[tuple[int, ...], float]]:
+    """Return (what each object is, how probable that is against the likeliest), the likeliest first.
+
+    shares : for each object, the probabilities (n,) of what it may be, whatever the others are. Of MOST_STRUCTURES,
+        none below LEAST_LIKELY.
+    """
+    found: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    for share in shares:
+        further = [((*chosen, number), weight * float(p)) for chosen, weight in found
+                   for number, p in enumerate(share / share.max()) if weight * p >= LEAST_LIKELY]  # fmt: skip
+        found = sorted(further, key=lambda each: -each[1])[:MOST_STRUCTURES]
+    return found

@@ -26,14 +26,13 @@ from derender.scene.pose import from_axes
 from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.structures.known.identities import SHOWN, Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import GAP, Known
-from derender.structures.parts import part_of, part_of_one
+from derender.structures.parts import LEAST_LIKELY, likeliest, part_of, part_of_one
 
 Seen = Callable[[SceneGraph], ObservedImage]
 
 WARMUP = 400  # rounds of the chains before their first draw, in which steps shrink from centimetres to what images tell
 DIFFERENCE = 1e-6  # of a number of a contact, by which metres for each of it are told
 NEAR = 0.1  # metres along a floor from where an object was placed that it may be
-LEAST_LIKELY, MOST_STRUCTURES = 1e-3, 24  # share of the likeliest's weight that one told has; how many, at most
 UNKNOWN = "unknown"
 
 
@@ -98,19 +97,6 @@ def known_posterior(
             part = part_of_known(rng, placement, other, names_of(other), floor_pose, seen, 1, 1)
             parts.append(replace(part, weight=weight))
     return [replace(part, weight=part.weight / total) for part in parts]
-
-
-def likeliest(shares: list[np.ndarray]) -> list[tuple[tuple[int, ...], float]]:
-    """Return (which identity each object has, how probable that is against the likeliest), the likeliest first.
-
-    shares : for each object, the probabilities (n,) of what it may be. Of MOST_STRUCTURES, none below LEAST_LIKELY.
-    """
-    found: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
-    for share in shares:
-        further = [((*chosen, number), weight * float(p)) for chosen, weight in found
-                   for number, p in enumerate(share / share.max()) if weight * p >= LEAST_LIKELY]  # fmt: skip
-        found = sorted(further, key=lambda each: -each[1])[:MOST_STRUCTURES]
-    return found
 
 
 def enough(placed: list[Placed]) -> bool:

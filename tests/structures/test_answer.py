@@ -1,0 +1,84 @@
+"""What is told of the structures that were found: their objects may be clutter."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from small_scenes import read
+
+from derender.results.posterior import Posterior, StructurePosterior
+from derender.structures.answer import with_absences
+from derender.structures.parts import MOST_STRUCTURES
+
+THREE = """
+derender: 1
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+  low:   {shape: {type: cube, side: 0.1}, parent: floor, contact: {type: face-to-face, x: 0.0}}
+  top:   {shape: {type: cube, side: 0.05}, parent: low, contact: {type: face-to-face, u: 0.5, v: 0.5}}
+  left:  {shape: {type: cube, side: 0.05}, parent: floor, contact: {type: face-to-face, x: 0.3}}
+  right: {shape: {type: sphere, radius: 0.05}, parent: floor, contact: {type: point-on-face, x: -0.3}}
+"""
+CHANCE = {"left": (0.9, 0.05), "right": (0.6, 0.1), "low": (0.7, 0.1)}
+
+
+@pytest.fixture(scope="module")
+def part():
+    addresses = ("low.contact.x", "left.contact.x", "right.contact.x")
+    values = np.random.default_rng(0).normal(0.0, 0.01, (2, 5, 3))
+    return StructurePosterior(read(THREE).graph, addresses, values, np.zeros((2, 5)), np.zeros((2, 5)), 0.8,
+                              weight_error=0.02, weight_interval=(0.76, 0.84))  # fmt: skip
+
+
+def test_no_structure_is_likelier_than_its_objects(part):
+    parts = with_absences([part], CHANCE)
+    expected = {(a, b): 0.8 * (0.9 if a else 0.1) * (0.6 if b else 0.4) for a, b in product((True, False), repeat=2)}
+    told = {("left" in each.graph.names, "right" in each.graph.names): each for each in parts}
+    assert {key: each.weight for key, each in told.items()} == pytest.approx(expected)
+    assert parts == sorted(parts, key=lambda each: -each.weight)
+    posterior = Posterior(tuple(parts), meta={"existence": CHANCE})
+    for name in ("left", "right"):
+        assert posterior.object_probability(name) == pytest.approx(CHANCE[name][0])
+        assert posterior.object_probability_error(name) == pytest.approx(CHANCE[name][1], rel=0.3)
+        there = sum(each.weight for each in parts if name in each.graph.names)
+        assert there / 0.8 == pytest.approx(CHANCE[name][0])
+
+
+def test_what_bears_something_stays_and_so_do_the_draws_of_all(part):
+    parts = with_absences([part], CHANCE)
+    assert all("low" in each.graph.names and "top" in each.graph.names for each in parts)
+    whole = parts[0]
+    assert whole.graph == part.graph and whole.values.shape == part.values.shape
+    for each in parts[1:]:
+        assert {address.partition(".")[0] for address in each.addresses} <= set(each.graph.names)
+        assert each.values.shape[:2] == (1, 1) and each.extras["absent"]
+
+
+def test_an_error_of_existence_is_one_of_the_structure(part):
+    whole = with_absences([part], CHANCE)[0]
+    relative = np.linalg.norm([0.02 / 0.8, 0.05 / 0.9, 0.1 / 0.6])
+    assert whole.weight_error / whole.weight == pytest.approx(relative)
+    assert whole.weight_interval[0] < whole.weight - 0.1 and whole.weight_interval[1] > whole.weight + 0.1
+
+
+def test_what_differs_in_clutter_alone_is_one_structure(part):
+    sizes = {"length": 0.05, "width": 0.06, "height": 0.05}
+    other = replace(part.scaled(0.25), graph=part.graph.replace("left", shape="box", parameters=sizes))
+    parts = with_absences([part, other], {"left": (0.75, 0.0)})
+    assert len(parts) == 3 and sum(each.weight for each in parts) == pytest.approx(1.0)
+    assert min(parts, key=lambda each: len(each.graph.names)).weight == pytest.approx(0.25)
+
+
+def test_of_many_things_the_likeliest_choices_are_told(part):
+    """Sixteen of them by 65,536 choices: those told are the likeliest, and what others hold is nobody's."""
+    graph, chance = part.graph, {}
+    for number in range(16):
+        graph = graph.add(replace(part.graph.vertex("left"), name=f"thing_{number}"))
+        chance[f"thing_{number}"] = (0.9, 0.0)
+    many = replace(part, graph=graph, weight=1.0)
+    parts = with_absences([many], chance)
+    assert len(parts) == MOST_STRUCTURES and parts[0].weight == pytest.approx(0.9**16)
+    pairs = MOST_STRUCTURES - 17
+    assert sum(each.weight for each in parts) == pytest.approx(0.9**16 + 1.6 * 0.9**15 + 0.01 * pairs * 0.9**14)
+    assert Posterior(tuple(parts), meta={"existence": chance}).object_probability("thing_3") == pytest.approx(0.9)
