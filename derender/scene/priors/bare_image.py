@@ -145,6 +145,7 @@ class Loose:
 
     unit : metres, a number or distribution: of all lengths in the file.
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
+    resting : standard deviation in metres by which what stands exactly sinks into what it stands on, or stands over it.
     faces : standard deviation in metres by which each face of a real solid is off where a real sensor shows it: neither
         is even, and slow biases span whole faces.
     scale : standard deviation of the share by which all that a real sensor shows is too far or too near.
@@ -156,6 +157,7 @@ class Loose:
     seen_from: tuple[float, float] = (0.4, 1.5)  # units from the camera, least and most, to most of what it sees
     slack: float = 0.0015
     slack_seen: float = 0.002  # the same where a real sensor shows it
+    resting: float = 3e-5
     overlap: float = 3e-4  # metres by which solids may enter each other
     faces: float = 0.003
     scale: float = 0.01
@@ -238,7 +240,7 @@ GROUPS: dict[str, tuple[Any, dict]] = {
     "floor": (Floors, {"height": ("m", 1e-9), "spread": ("", 1.0 + 1e-9), "share": ("", 1e-9),
                        "explained": ("", 1e-9), "": ("", 1e-9, 1.0)}),
 }  # fmt: skip
-NUMBERS = {**dict.fromkeys(("slack", "slack_seen", "overlap", "faces"), ("m", 1e-6)), "crowding": ("", 1e-9),
+NUMBERS = {**dict.fromkeys(("slack", "slack_seen", "resting", "overlap", "faces"), ("m", 1e-6)), "crowding": ("", 1e-9),
            "scale": ("", 0.0, 0.1),
            **dict.fromkeys(("hanging", "tipping"), ("", 1e-300, 1.0)), "stranger": SHARE}  # fmt: skip
 

@@ -58,6 +58,7 @@ class Chart(NamedTuple):
     slack: float  # as in Rules
     overlap: float  # as in Rules
     faces: float  # as in Rules
+    resting: float  # as in Loose
     floating: bool  # as in Rules
     sunk: float  # metres by which solids may sink into the floor
     hanging: float
@@ -121,9 +122,9 @@ def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Char
     loose = beliefs.loose
     overlap = loose.overlap if rules.overlap is None else rules.overlap
     chart = Chart(flags, slots, rows, np.array(order, np.int64), np.ascontiguousarray(floor_pose, dtype=float),
-                  rules.slack, overlap, rules.faces, rules.floating, loose.overlap, -float(np.log(loose.hanging)),
-                  0.0 if rules.floating else -float(np.log(loose.tipping)), beliefs.sizes,
-                  structure_log_prior(flags, beliefs))  # fmt: skip
+                  rules.slack, overlap, rules.faces, loose.resting, rules.floating, loose.overlap,
+                  -float(np.log(loose.hanging)), 0.0 if rules.floating else -float(np.log(loose.tipping)),
+                  beliefs.sizes, structure_log_prior(flags, beliefs))  # fmt: skip
     return chart, np.array([*values, 0.0, 0.0, 0.0])
 
 

@@ -6,6 +6,9 @@ else tells the offsets, so a draw of where the faces are is a draw of where they
 offsets. The floor under the solids, which nobody sees, is off in the same way from where it appears beside them. Only
 of a cube do its faces say something of each other's offsets: see `chart.apparent_cube_log_density`.
 
+What stands on something, its contact exact, sinks into it by some hundredths of a millimetre, or stands over it: its
+height is from there, by an offset with the standard deviation `resting`.
+
 A face that looks away from the camera is told by the silhouette alone. There sensors lose returns, on the solid's side
 and on that of what is behind it; pixels without one say nothing, so that draws have the silhouette anywhere among them.
 """
@@ -91,18 +94,20 @@ def true_faces(rng: np.random.Generator | None, chart: Chart, values: np.ndarray
 
     What is held to its support stays on it. rng : of the offsets; None: the most probable ones.
     """
-    if chart.faces == 0.0:
+    if rng is None and chart.faces == 0.0:
         return values
     values, many = values.copy(), len(values)
 
-    def offsets(*shape):
-        """Return (n, *shape) offsets of faces."""
-        return np.zeros((many, *shape)) if rng is None else chart.faces * rng.standard_normal((many, *shape))
+    def offsets(deviation, *shape):
+        """Return (n, *shape) offsets with this standard deviation."""
+        zero = rng is None or deviation == 0.0
+        return np.zeros((many, *shape)) if zero else deviation * rng.standard_normal((many, *shape))
 
-    floor, lifted = offsets(), np.zeros((len(chart.flags), many))  # of the floor, and of each top over it
+    floor, lifted = offsets(chart.faces), np.zeros((len(chart.flags), many))  # of the floor, and of each top over it
     for k in chart.order:
         slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
-        pairs = offsets(3, 2)  # of the faces at + and -, outwards
+        pairs = offsets(chart.faces, 3, 2)  # of the faces at + and -, outwards
+        resting = offsets(chart.resting) if flag[HELD] else np.zeros(many)
         grown, moved = pairs.sum(axis=2), 0.5 * (pairs[..., 0] - pairs[..., 1])
         extents = values[:, slot[SIZE:]]
         if flag[KIND] == CYLINDER:
@@ -110,11 +115,11 @@ def true_faces(rng: np.random.Generator | None, chart: Chart, values: np.ndarray
         below = lifted[flag[PARENT]] if flag[PARENT] != FLOOR else np.zeros(many)
         if flag[EQUAL] or flag[KIND] == SPHERE:  # of a cube three pairs of faces tell the side
             grown = (grown[:, :1] if flag[KIND] == SPHERE else grown.sum(axis=1, keepdims=True) / 3.0) + np.zeros(3)
-            extents = extents.mean(axis=1, keepdims=True) + grown
+            extents = extents.mean(axis=1, keepdims=True) + grown + resting[:, None]
             lifted[k] = below + extents[:, 2] - values[:, slot[SIZE + 2]]
         else:
             if flag[HELD]:  # its top is where it appears, all but an offset, over a floor that has one
-                lifted[k] = pairs[:, 2, 0] + floor
+                lifted[k] = pairs[:, 2, 0] + floor + resting
                 grown[:, 2] = lifted[k] - below
             extents = extents + grown
         values[:, slot[SIZE:]] = np.maximum(extents, LEAST_EXTENT)
