@@ -23,11 +23,11 @@ __all__ = ["Camera", "DepthImage", "Posterior", "Scene", "infer", "load", "read_
 
 if TYPE_CHECKING:
     from derender.camera.depth_file import DepthImage as DepthImage
-    from derender.camera.depth_file import read_depth as read_depth
     from derender.camera.intrinsics import Camera as Camera
     from derender.errors import DerenderError as DerenderError
     from derender.interface.functions import infer as infer
     from derender.interface.functions import load as load
+    from derender.interface.functions import read_depth as read_depth
     from derender.interface.functions import render as render
     from derender.interface.functions import sample as sample
     from derender.interface.functions import simulate as simulate
@@ -35,10 +35,9 @@ if TYPE_CHECKING:
     from derender.interface.scene import Scene as Scene
 
 PLACES = {
-    **dict.fromkeys(("infer", "load", "render", "sample", "simulate"), "interface.functions"),
-    **dict.fromkeys(("DepthImage", "read_depth"), "camera.depth_file"),
-    "Camera": "camera.intrinsics", "Posterior": "interface.posterior", "Scene": "interface.scene",
-    "DerenderError": "errors",
+    **dict.fromkeys(("infer", "load", "read_depth", "render", "sample", "simulate"), "interface.functions"),
+    "DepthImage": "camera.depth_file", "Camera": "camera.intrinsics", "Posterior": "interface.posterior",
+    "Scene": "interface.scene", "DerenderError": "errors",
 }  # fmt: skip
 
 

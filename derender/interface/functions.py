@@ -1,6 +1,5 @@
 """The functions of `import derender`: read, draw, render, infer and simulate, in plain Python."""
 
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
@@ -9,11 +8,13 @@ from typing import NamedTuple, TypedDict
 
 import numpy as np
 
-from derender.camera.depth_file import DepthImage, read_depth
+from derender.camera import depth_file
+from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import Document, read_prior_document
 from derender.interface.posterior import MOST_DRAWS, Posterior
 from derender.interface.scene import Scene
+from derender.interface.words import in_python, in_pythons_words
 from derender.physics.intervention import intervention
 from derender.physics.outcome import Chance, probability, simulate_scene
 from derender.posterior.forward import HEIGHT, WIDTH, draw_documents, observe
@@ -21,6 +22,8 @@ from derender.registry import only_its_keywords
 from derender.render.renderers import find_renderer
 from derender.results import posterior as kept
 from derender.scene.graph import SceneGraph
+
+read_depth = in_pythons_words(depth_file.read_depth)
 
 
 @only_its_keywords
@@ -93,6 +96,7 @@ def render(
     return DepthImage(depth, camera)
 
 
+@in_pythons_words
 @only_its_keywords
 def infer(
     image: DepthImage | np.ndarray | Sequence[Sequence[float]] | str | Path,
@@ -170,7 +174,7 @@ def infer(
 
 
 def _warn(line: str) -> None:
-    warnings.warn(re.sub("--(?=[a-z])", "", line), stacklevel=5)  # where `infer` was called, in Python's words
+    warnings.warn(in_python(line), stacklevel=6)  # where `infer` was called
 
 
 def as_camera(camera: Camera | str | Path | None) -> Camera | None:
@@ -237,6 +241,7 @@ class Simulation(NamedTuple):
     names: tuple[str, ...]
 
 
+@in_pythons_words
 @only_its_keywords
 def simulate(
     scene: Scene | SceneGraph | Posterior | str | Path,

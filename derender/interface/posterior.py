@@ -14,6 +14,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior
 from derender.errors import DerenderError, optional
 from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
+from derender.interface.words import in_python, in_pythons_words
 from derender.physics.outcome import Chance, Outcome, probability
 from derender.registry import only_its_keywords, suggest
 from derender.report import pictures
@@ -181,7 +182,7 @@ class Posterior(kept.Posterior):
     @property
     def doubts(self) -> tuple[str, ...]:
         """What speaks against trusting it, a sentence each."""
-        return tuple(self.meta.get("doubts", ()))
+        return tuple(map(in_python, self.meta.get("doubts", ())))
 
     @only_its_keywords
     def sample_scenes(self, count: int, seed: int = 0) -> list[Scene]:
@@ -198,6 +199,7 @@ class Posterior(kept.Posterior):
             raise DerenderError("the posterior knows no camera", remedy="load the folder that derender infer wrote")
         return predictive_images(self, self.camera, count, np.random.default_rng(seed))
 
+    @in_pythons_words
     def probability(
         self,
         event: Callable[[Outcome], bool] | str,

@@ -83,7 +83,7 @@ def test_what_is_taken_for_an_image(image, tmp_path):
 @pytest.mark.parametrize(
     "thing, words",
     [
-        (np.full((48, 64), 900.0), "the median depth is 900 m.*depth-scale"),
+        (np.full((48, 64), 900.0), "the median depth is 900 m.*depth_scale="),
         (np.zeros((48, 64, 3)), "48 x 64 x 3; this looks like a colour image"),
         (np.ones((48, 64), np.uint8), "8 bits a pixel are too coarse"),
         ([[1.0, 2.0], [1.0]], "the rows have different lengths"),
@@ -127,7 +127,7 @@ def test_a_warning_is_about_the_line_that_called(image):
         derender.infer(np.nan_to_num(image.depth), quick=True, chains=3)
     assert {Path(each.filename).name for each in told} == {"test_interface.py"}
     words = [str(each.message) for each in told]
-    assert words[0].startswith("camera is not given") and words[1].startswith("chains says nothing here")
+    assert words[0].startswith("camera= is not given") and words[1].startswith("chains= says nothing here")
 
 
 def test_numbers_of_other_libraries_are_numbers():
@@ -180,7 +180,7 @@ def test_options_are_checked():
         derender.infer(np.ones((48, 64)), floor=[0, 0, 1, "a"], camera=derender.Camera.from_field_of_view(64, 48))
     with pytest.raises(DerenderError, match="no method is called 'mcmcm'; did you mean 'mcmc'"):
         derender.infer(np.ones((48, 64)), method="mcmcm")
-    with pytest.raises(DerenderError, match="--method smc is for objects that are given; add --scene"):
+    with pytest.raises(DerenderError, match='method="smc" is for objects that are given; add prior=, or take method='):
         derender.infer(np.ones((48, 64)), method="smc", camera=derender.Camera.from_field_of_view(64, 48))
     with pytest.raises(DerenderError, match="budget is -1; give seconds"):
         derender.infer(np.ones((48, 64)), budget=-1)
@@ -188,6 +188,31 @@ def test_options_are_checked():
         derender.infer(np.ones((48, 64)), method="smc", quick=True)
     with pytest.raises(DerenderError, match="'bx' is no shape to look for; did you mean 'box'"):
         derender.infer(np.ones((48, 64)), shapes=["bx"], camera=derender.Camera.from_field_of_view(64, 48))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("choose from stdin or --scene", "choose from stdin or prior="),
+        ("nothing is known; give a library with --known FILE", "nothing is known; give a library with known="),
+        ("the floor may be another: --floor=0,0.9,0.1,-1", "the floor may be another: floor=(0,0.9,0.1,-1)"),
+        ("--push red:+x:0.5N@0.1s: no object", 'push="red:+x:0.5N@0.1s": no object'),
+        ("--draws 400 would do", "draws=400 would do"),
+        ("it may be a wall, see --up", "it may be a wall, see the camera's gravity"),
+    ],
+)
+def test_options_of_commands_are_told_as_keywords(line, words):
+    from derender.interface.words import in_python
+
+    assert in_python(line) == words == in_python(words)
+
+
+def test_faults_of_simulations_and_images_are_told_by_keywords(image, tmp_path):
+    with pytest.raises(DerenderError, match='^tilt="10": the tilt is not'):
+        derender.sample("stack", seed=0).simulate(tilt="10")
+    (tmp_path / "image.yaml").write_text("derender: 1")
+    with pytest.raises(DerenderError, match="prior= or camera= takes such a file"):
+        derender.read_depth(tmp_path / "image.yaml")
 
 
 def test_a_missing_camera_is_warned_of():
@@ -224,7 +249,7 @@ def test_the_same_seed_is_the_same_posterior_as_on_the_command_line(image, tmp_p
 
 
 def test_a_floor_as_an_array_beside_a_scene_is_refused_in_a_line(image):
-    with pytest.raises(DerenderError, match="--floor is for images without a scene"):
+    with pytest.raises(DerenderError, match="floor= is for images without a scene; leave out floor= or prior="):
         derender.infer(image, prior="stack", floor=np.array([0.0, 1.0, 0.0, -0.5]))
 
 
