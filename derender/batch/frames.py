@@ -9,7 +9,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -178,6 +178,7 @@ class Watch:
         return ready
 
 
+IMAGE = "image"  # of a failed frame's line in the ledger: where its image is
 THUMBNAIL = "thumbnail.png"
 THUMBNAIL_WIDTH = 160  # pixels of each half, about
 
@@ -256,7 +257,19 @@ def answer_frame(
 
 def failure(frame: Frame, why: str) -> Done:
     """Return what is told of a frame without a result."""
-    return Done(frame, [failed_row(frame.name, why)], why)
+    return Done(frame, [failed_row(frame.name, why) | {IMAGE: os.path.abspath(frame.path)}], why)
+
+
+def still_tells(folder: Path, row: Mapping[str, Any]) -> bool:
+    """Return whether a frame's row is about something that is there: its folder, or of a failure its image.
+
+    Without either it was removed by hand. A row that does not say its image, as of an older version, stays.
+    """
+    if row["status"] == "done":
+        return is_done(folder / row["frame"])
+    image = str(row.get(IMAGE) or folder)
+    recording = FRAME.fullmatch(image)
+    return os.path.exists(recording[1] if recording else image)
 
 
 def is_done(folder: Path) -> bool:

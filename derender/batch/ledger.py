@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from derender import __version__
 from derender.atomic import check_files, locked, make_folder, write_text
-from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in
+from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in, still_tells
 from derender.errors import DerenderError, printable
 from derender.json_text import misfit, parse_json
 from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
@@ -24,7 +24,8 @@ class Ledger:
 
     results.jsonl grows by a frame's rows the moment that it is done; results.csv and index.html are made from it. A
     frame counts as done where its folder is whole, whatever the lines say: they are made again from it where they are
-    missing, as after a killed run. Several processes may write into the same folder, each other frames.
+    missing, as after a killed run, and dropped where it was removed. Several processes may write into the same folder,
+    each other frames.
 
     folder : the output folder. rows : by frame.
     """
@@ -34,6 +35,7 @@ class Ledger:
         check_files(self.folder, (RUN, LEDGER, TABLE, PAGE))
         self._check(order)
         self.rows: dict[str, list[dict[str, Any]]] = {}
+        self.recorded: set[str] = set()  # names of this run's frames
         self._read()
 
     def _check(self, order: Order) -> None:
@@ -71,6 +73,7 @@ class Ledger:
 
     def record(self, done: Done) -> None:
         """Write a frame's lines."""
+        self.recorded.add(done.frame.name)
         self._append(done.frame.name, done.rows)
 
     def _append(self, name: str, rows: Sequence[dict[str, Any]]) -> None:
@@ -91,9 +94,10 @@ class Ledger:
         """
         with locked(self.folder):
             self._read()
-            names = sorted(self.rows)
-            self.rows = {name: _last(self.rows[name]) for name in names}
-            rows = [row for name in names for row in self.rows[name]]
+            last = {name: _last(self.rows[name]) for name in sorted(self.rows)}
+            self.rows = {name: found for name, found in last.items()
+                         if name in self.recorded or still_tells(self.folder, found[0])}  # fmt: skip
+            rows = [row for found in self.rows.values() for row in found]
             if ended:
                 write_text(self.folder / LEDGER, as_lines(rows))
             write_text(self.folder / TABLE, as_csv(rows))

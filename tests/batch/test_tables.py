@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from derender.atomic import locked
-from derender.batch.frames import Done, Frame, Order, Watch, find_frames, is_many, rows_in
+from derender.batch.frames import Done, Frame, Order, Watch, failure, find_frames, is_many, rows_in
 from derender.batch.ledger import Ledger, index_page
 from derender.batch.run import duration, words
 from derender.camera.image_files import png_bytes
@@ -191,6 +191,28 @@ def test_a_result_that_another_process_replaces_is_read_whole(tmp_path):
             wait([found], timeout=0.2)  # as long as a reader that does not wait has to fail
             (tmp_path / "a" / "summary.json").write_text(json.dumps(summary(box("new"))))
         assert [row["object"] for row in found.result()] == ["new"]
+
+
+def test_what_was_removed_by_hand_is_in_no_table_any_more(tmp_path):
+    """A result goes with its folder, a failure with its image; another run's failure stays where its image is."""
+    order, out = Order(), tmp_path / "out"
+    names = ("bad", "dark", "film.bag@3", "gone.bag@7")
+    for name in ("dark", "film.bag"):
+        (tmp_path / name).touch()
+    ledger = Ledger(out, order)
+    for name in ("kept", "gone"):
+        done_folder(out, name, summary(box()))
+        ledger.record(Done(Frame(name, name + ".npy"), rows_of(name, summary(box()))))
+    for name in names:
+        ledger.record(failure(Frame(name, str(tmp_path / name)), "too dark"))
+    ledger.write_tables(ended=True)
+    assert '"bad"' in (out / "results.jsonl").read_text()  # a run tells its own failures, also of what was never there
+    (out / "gone" / "summary.json").unlink()
+    Ledger(out, order).write_tables(ended=True)
+    for file in ("results.jsonl", "results.csv", "index.html"):
+        text = (out / file).read_text()
+        assert all(name in text for name in ("kept", "dark", "film.bag@3")), file
+        assert not any(name in text for name in ("gone", "bad<", "bad,", '"bad"')), file
 
 
 def test_results_of_other_options_are_not_mixed(tmp_path):
