@@ -1,6 +1,7 @@
 """A posterior for use from Python: what was found, how sure it is, and what it predicts."""
 
 import tempfile
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from html import escape
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 MOST_DRAWS = 100_000  # simulated where an error is asked for
 MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's page
+BAR = 0.6  # height of a bar, in lines of text
+FONTS = (10, 9, 8, 7, 6, 5)  # points, the largest first, of words in a plot
+CHARACTER, LINE = 0.62, 1.25  # width of a character and height of a line of matplotlib's font, in its size
 
 
 class Structure(NamedTuple):
@@ -258,11 +262,19 @@ class Posterior(kept.Posterior):
         return axes
 
     def plot_structures(self, ax: Any = None) -> Any:
-        """Draw the structures' probabilities, the greatest on top, into matplotlib axes, and return them."""
+        """Draw the structures' probabilities into matplotlib axes, and return them.
+
+        Each has a bar, the greatest on top, and above it what it says, in as many lines as that takes.
+        """
         axes = axes_for(ax)
-        words = [words for _, words in told_structures(self)][:MOST_BARS]
-        shares = [each.probability for each in self.structures[: len(words)]]
-        axes.barh(np.arange(len(words))[::-1], shares, tick_label=words)
+        told = [f"p {share}  {words}" for share, words in told_structures(self)][:MOST_BARS]
+        size, lines = fitted_lines(axes, told)
+        rows = np.cumsum([text.count("\n") + 1 + BAR for text in lines])  # counted in lines of text, from the top
+        axes.barh(rows - 0.5 * BAR, [each.probability for each in self.structures[: len(told)]], BAR)
+        for row, text in zip(rows, lines, strict=True):
+            axes.text(0.01, row - BAR, text, fontsize=size, va="bottom", linespacing=1.0)
+        axes.set_ylim(rows[-1] + 0.5 * BAR, -0.5 * BAR)
+        axes.set_yticks([])
         axes.set_xlim(0, 1)
         axes.set_xlabel("probability")
         return axes
@@ -282,3 +294,14 @@ class Posterior(kept.Posterior):
         told = dict(self.meta.get("likelihood") or {})
         kind = told.pop("type", None)
         return Scene(graph, self.camera, None if kind is None else LikelihoodPrior(kind, told))
+
+
+def fitted_lines(axes: Any, texts: list[str]) -> tuple[int, list[str]]:
+    """Return a font size in points, and texts broken into lines, with which bars and texts fit into matplotlib axes."""
+    width, height = 72.0 / axes.figure.dpi * np.array(axes.get_window_extent().size)
+    for size in FONTS:
+        columns = max(1, int(0.98 * width / (CHARACTER * size)))
+        broken = [textwrap.fill(text, columns) for text in texts]
+        if (sum(text.count("\n") + 1 + BAR for text in broken) + BAR) * LINE * size <= height:
+            break
+    return size, broken

@@ -2,6 +2,7 @@
 
 import doctest
 import importlib
+import itertools
 import json
 import subprocess
 import sys
@@ -343,6 +344,24 @@ def test_plots_go_into_ones_own_axes(posterior):
     assert drawn == pytest.approx([each.probability for each in posterior.structures][: len(drawn)])
     assert posterior.best.plot_depth().has_data()
     plt.close("all")
+
+
+@pytest.mark.parametrize(("wide", "high", "count"), [(6.4, 4.8, 1), (6.4, 4.8, 12), (3.0, 3.0, 2)])
+def test_a_plot_of_structures_cuts_no_label(posterior, monkeypatch, wide, high, count):
+    import matplotlib.pyplot as plt
+
+    words = "a_box_with_a_long_name (box) on another_box, cylinder_12 (cylinder) on floor, thing_3 (thing) on floor"
+    monkeypatch.setattr("derender.interface.posterior.told_structures", lambda p: [(".93 (.88-.96)", words)] * count)
+    figure, axes = plt.subplots(figsize=(wide, high))
+    posterior.plot_structures(axes)
+    figure.canvas.draw()
+    room, drawn = axes.get_window_extent(), [text.get_window_extent() for text in axes.texts]
+    assert len(drawn) == count and all(" ".join(text.get_text().split()).endswith(words) for text in axes.texts)
+    for above, below in itertools.pairwise(drawn):
+        assert above.y0 > below.y1  # no two lie on each other
+    for box in drawn:
+        assert room.x0 <= box.x0 and box.x1 <= room.x1 and room.y0 <= box.y0 and box.y1 <= room.y1
+    plt.close(figure)
 
 
 def test_arviz_has_what_it_asks_for(posterior):
