@@ -300,11 +300,11 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
 
 def _animate(path: str, source: Found, best: Any, talk: Talk) -> None:
     from derender.camera.intrinsics import Camera
-    from derender.report.animation import animate
+    from derender.report.animation import animate, stands_still
 
     camera = source.camera
     if camera is None and not path.lower().endswith(".glb"):
         camera = Camera.from_field_of_view(320, 240)
         talk.say("the scene has no camera: 320 x 240 pixels and a field of view of 60 degrees")
     animate(path, source.graph, best.trajectory, camera)
-    talk.say(f"wrote {path}")
+    talk.say(f"wrote {path}" + (": nothing moves in it" if stands_still(best.trajectory) else ""))

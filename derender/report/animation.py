@@ -46,6 +46,11 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     return pictures
 
 
+def stands_still(trajectory: Trajectory) -> bool:
+    """Return whether nothing moves so far that a picture shows it: a GIF of that is one picture."""
+    return bool(np.ptp(trajectory.poses, axis=0).max(initial=0.0) < STILL)
+
+
 def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera: Camera | None) -> None:
     """Write how a scene moves, by the suffix: a picture seen by its camera (.gif, .webp, .mp4), or .glb in 3-D.
 

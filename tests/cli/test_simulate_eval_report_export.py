@@ -117,7 +117,9 @@ def test_simulate_a_posterior(capsys, folder):
 def test_simulate_draws_an_animation(capsys, folder):
     from PIL import Image
 
+    assert "nothing moves" in run(capsys, "simulate", "stands.yaml", "--animate", "x.gif", "--duration", "0.5")[2]
     status, _, talk = run(capsys, "simulate", "falls.yaml", "--animate", "fall.gif", "--duration", "0.5")
+    assert "nothing moves" not in talk
     assert status == 0 and "wrote fall.gif" in talk
     with Image.open("fall.gif") as picture:
         assert picture.n_frames > 5 and picture.size[0] >= 320
