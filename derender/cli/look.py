@@ -11,7 +11,7 @@ from derender.cli.options import Talk
 from derender.errors import DerenderError
 
 SHOWN = 5  # views in the table
-LITTLE = 0.1  # nats: an image that tells no more is not worth taking
+LITTLE = 0.1  # nats: an image that tells no more is not worth taking, ranges get a tenth narrower
 
 
 @click.command()
@@ -31,7 +31,9 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
 
     Candidates are cameras on rings about the scene, as far from it as the first. The draws of the posterior are
     rendered from each; by how much their images tell their sizes, structures and stability apart is how much the image
-    is expected to tell, in nats. Of one number a factor of four is enough: the best views leave no size hidden. The
+    is expected to tell, in nats: one makes the range of one number 2.7 times narrower, less than 0.1 is next to
+    nothing, and a size whose standard deviation is below 0.3 mm counts as known. Of one number a factor of four is
+    enough: the best views leave no size hidden. The
     table shows them: the turn about the scene (seen from above, anticlockwise) and the elevation over the floor in
     degrees, how far the camera moves, and the 90 % range of the size that is known least, as it is and as it is
     expected to be. The poses of all cameras, the best candidate's last, go to a file that `derender infer --together
@@ -46,7 +48,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
 
     from derender.camera.camera_file import write_poses
     from derender.cli.reading import read_scene
-    from derender.physics.next_view import next_views
+    from derender.physics.next_view import KNOWN, next_views
     from derender.report.pictures import write_view
 
     found = read_scene(folder)
@@ -65,6 +67,8 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
         click.echo(json.dumps({"about": about, "views": [tree_of(view) for view in views]}))
     else:
         click.echo(table_of(views))
+        talk.say(f"one nat makes one range 2.7 times narrower, < {LITTLE} is next to nothing: "
+                 f"errors below {1e3 * KNOWN:.1g} mm count as none")  # fmt: skip
     most = {key: max(view.nats[key] for view in views) for key in views[0].nats}
     if most[about] < LITTLE:
         other = max(most, key=lambda key: most[key])
@@ -95,7 +99,8 @@ def table_of(views: Any) -> str:
     for view in views[:SHOWN]:
         before, after = (2000.0 * NINETY * spread for spread in view.spreads[least])
         angles = (f"{np.degrees(angle):.0f}" for angle in (view.turn, view.elevation))
-        nats = (f"{view.nats[key]:.1f}" for key in ("sizes", "structure", "stable"))
+        told = (view.nats[key] for key in ("sizes", "structure", "stable"))
+        nats = (f"{x:.1f}" if x >= LITTLE else f"< {LITTLE}" for x in told)
         rows.append([*angles, f"{view.moved:.2f}", *nats, f"{before:.1f} -> {after:.1f}"])
-    told = ("turn, deg", "elevation, deg", "moved, m", "sizes, nats", "structure, nats", "stable, nats", f"{least}, mm")
-    return text_table(rows, told)
+    head = ("turn, deg", "elevation, deg", "moved, m", "sizes, nats", "structure, nats", "stable, nats", f"{least}, mm")
+    return text_table(rows, head)

@@ -146,4 +146,5 @@ def test_the_command_writes_poses_that_infer_takes(tmp_path):
     assert (tmp_path / "result" / "poses.png").read_bytes().startswith(b"\x89PNG")
     table = CliRunner().invoke(group, ["look", str(tmp_path / "result"), "--about", "structure"])
     assert table.exit_code == 0 and "box.width" in table.stdout
+    assert "< 0.1" in table.stdout and " 0.0 " not in table.stdout and "< 0.1 is next to nothing" in table.stderr
     assert "no view tells more than 0.1 nats" in table.stderr  # there is one structure alone
