@@ -105,7 +105,8 @@ def command(
     of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
     Solids that enter each other deeper than that fall, whichever engine is asked, and a line says which.
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
-    P(stable) and each object's P(falls), with their Monte Carlo errors. What is said of a folder stands on its page
+    P(stable) and each object's P(falls), with their Monte Carlo errors; of what the search may have missed no draw
+    tells, so that half of that probability counts as stable, and is said. What is said of a folder stands on its page
     too, with animations that lie in it (`derender view`). Several scenes make a table; so do the scenes that -n draws
     from a prior, which are those of `derender sample PRIOR -n N` with the same seed.
 
@@ -246,6 +247,7 @@ def _lines(found: Any) -> Iterator[Any]:
     """Yield the verdict and a table for the terminal."""
     import numpy as np
 
+    from derender.physics.outcome import told_of_missed
     from derender.report.tables import number_or_dash, text_table
 
     others = {name: word for name, word in found["engines"].items() if word != found["verdict"]}
@@ -256,7 +258,9 @@ def _lines(found: Any) -> Iterator[Any]:
     if found["margin"] is not None:
         yield f"margin {found['margin']:.3f} g"
     if found["draws"] > 1:
-        yield f"P(stable) = {found['p_stable']:.3f} ± {found['p_stable_error']:.3f} over {found['draws']} draws"
+        missed = told_of_missed(found)
+        yield (f"P(stable) = {found['p_stable']:.3f} ± {found['p_stable_error']:.3f} over {found['draws']} draws"
+               + (f"; {missed}" if missed else ""))  # fmt: skip
         yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())
     rows = [
         [name, number_or_dash(1000 * found["displacement"].get(name, np.nan), ".1f"),

@@ -221,7 +221,8 @@ class Simulation(NamedTuple):
     """What physics says of a scene or a posterior.
 
     verdict : "stands", "settles" or "falls", of the (most probable) scene. stable : whether it stands.
-    p_stable : how probable standing is, p_stable_error : its Monte Carlo error; of a scene alone 1 or 0, and 0.
+    p_stable : how probable standing is, p_stable_error : its Monte Carlo error; of a scene alone 1 or 0, and 0. Of what
+        a posterior may have missed (`Posterior.missed`) no draw tells: half of that counts as standing.
     displacement : metres that each body moved, by name. rotation : radians that it turned.
     fallen : names of the bodies that did not stay, the first first.
     margin : the least horizontal acceleration that topples or slides something, g; None where it was not asked for.

@@ -261,6 +261,7 @@ def assumed_of_draws(runs: Sequence[Outcome]) -> list[str]:
 
 # Draws that each verdict is worth beforehand, one in all, so that no verdict is surer than the draws can make it.
 BEFORE = {STANDS: 0.5, SETTLES: 0.25, FALLS: 0.25}
+LEAST_TOLD = 0.01  # of a probability that is said with two digits
 COLUMNS = (
     "scene", "verdict", "stable", "p_stable", "p_stable_error", "margin", "fallen", "mujoco", "statics", "assumed",
     "fault",
@@ -296,6 +297,7 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
         "first_moved": best.first_moved,
         "assumed": list(assumed),
         "draws": len(runs),
+        "missed": missed if len(runs) > 1 else 0.0,
     }
     for body in best.matter.bodies:
         if body.kind == "plane":
@@ -314,6 +316,14 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
     if best.forces:
         found["forces"] = [force._asdict() for force in best.forces]
     return found
+
+
+def told_of_missed(found: Mapping[str, Any]) -> str:
+    """Return what to say beside P(stable) of what a summary counts for scenes that no draw is of, or ""."""
+    share = found.get("missed")
+    if not isinstance(share, int | float) or share < LEAST_TOLD:
+        return ""
+    return f"half of the {share:.2f} that something was missed counts as stable".replace("0.", ".")
 
 
 def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:

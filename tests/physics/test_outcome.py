@@ -19,6 +19,7 @@ from derender.physics.outcome import (
     row_of,
     simulate_scene,
     summary_of,
+    told_of_missed,
 )
 from derender.physics.simulate import judge, simulate
 from derender.physics.verdict import settled_graph
@@ -273,6 +274,8 @@ def test_what_a_search_missed_may_stand_or_fall(graph):
     assert found["p_stable"] == pytest.approx(0.6 * 3.5 / 4 + 0.4 * 0.5)
     assert sum(found["p_verdict"].values()) == pytest.approx(1.0)
     assert found["p_verdict"]["falls"] == pytest.approx(0.6 * 0.25 / 4 + 0.4 * 0.25)
+    assert found["missed"] == 0.4 and told_of_missed(found).startswith("half of the .40 that something was missed")
+    assert not told_of_missed(summary_of(runs[0], runs, [])) and not told_of_missed({})
 
 
 def test_a_settled_scene_is_a_scene_that_stands(graph, tmp_path):

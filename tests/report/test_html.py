@@ -120,6 +120,13 @@ def test_probabilities_are_said_where_draws_tell_them(report):
     assert "Nothing speaks against this scene" in text
 
 
+def test_what_a_probability_counts_for_what_was_missed_is_told(report):
+    told = {"verdict": "stands", "p_stable": 0.93}
+    assert "P(stable) 0.93 (half of the .10 that" in page(report._replace(simulated=told | {"missed": 0.1}))
+    for nothing in ({}, {"missed": 0.001}, {"missed": "x"}):
+        assert "P(stable) 0.93." in page(report._replace(simulated=told | nothing))
+
+
 def test_page_is_well_formed_and_needs_no_network(report):
     text = page(report)
     checker = Checker()
