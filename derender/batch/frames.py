@@ -9,7 +9,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 RESULT, LEDGER = "summary.json", "results.jsonl"  # a folder that holds one of them is a result, no folder of frames
 PNG_HEADER, PNG_DEPTH = b"\x89PNG\r\n\x1a\n", 24  # where the bits for one number stand in a PNG
-SETTLED = 1.0  # seconds for which a file has not changed: whoever writes it has finished
+# Seconds for which a file has not changed while it was watched, and since it was written: its writer has finished.
+SETTLED, LONG_AGO = 1.0, 60.0
 
 
 class Frame(NamedTuple):
@@ -149,31 +150,32 @@ class Watch:
     """Files that come while others are worked on.
 
     A file counts when its size and its time have stayed the same for SETTLED seconds: what is still being written is
-    left for the next look.
+    left for the next look. A copy may stall for longer than that, so a file that changes later counts again.
     """
 
     def __init__(self, arguments: Sequence[str], output: str | Path) -> None:
         self.arguments, self.output = arguments, output
-        self.known: set[str] = set()
+        self.taken: dict[str, tuple[int, int]] = {}  # size and time of each file when it was given out
         self.seen: dict[str, tuple[tuple[int, int], float]] = {}
 
-    def look(self) -> list[Frame]:
-        """Return the frames that have come since the last look and are whole."""
+    def look(self, busy: Container[str] = ()) -> list[Frame]:
+        """Return the frames that have come, or changed, since the last look and are whole; without those of names that
+        are being worked on."""
         now, ready = time.monotonic(), []
         for frame in find_frames(self.arguments, self.output, empty=True):
-            if frame.path in self.known:
-                continue
             try:
                 status = os.stat(frame.path)
             except OSError:
                 continue
             state = (status.st_size, status.st_mtime_ns)
+            if self.taken.get(frame.path) == state or frame.name in busy:
+                continue
             former, since = self.seen.get(frame.path, (None, now))
             if former != state:
                 self.seen[frame.path] = (state, now)
-            old = time.time() - status.st_mtime > 2 * SETTLED  # it lay there before we came
+            old = time.time() - status.st_mtime > LONG_AGO
             if status.st_size and (old or (former == state and now - since >= SETTLED)):
-                self.known.add(frame.path)
+                self.taken[frame.path] = state
                 ready.append(frame)
         return ready
 
@@ -257,7 +259,7 @@ def answer_frame(
 
 def failure(frame: Frame, why: str) -> Done:
     """Return what is told of a frame without a result."""
-    return Done(frame, [failed_row(frame.name, why) | {IMAGE: os.path.abspath(frame.path)}], why)
+    return Done(frame, [failed_row(frame.name, why) | {IMAGE: os.path.abspath(str(frame.path))}], why)
 
 
 def still_tells(folder: Path, row: Mapping[str, Any]) -> bool:

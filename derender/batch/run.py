@@ -89,8 +89,9 @@ def infer_frames(
         asked_of_any(order.options, order.prior)
     ledger = Ledger(output, order)
     waiting = deque(ledger.missing(frames))
-    before, total = len(frames) - len(waiting), len(waiting)
-    count = {"done": 0, "doubtful": 0, "failed": 0}
+    before, total, over = {frame.name for frame in frames} - {frame.name for frame in waiting}, len(waiting), 0
+    count, failed = {"done": 0, "doubtful": 0}, set[str]()  # failed : names; one that changes may yet be done
+    busy = {frame.name for frame in waiting}
     in_turn = deque([] if watch else [frame.name for frame in waiting])
     early: dict[str, Done] = {}  # by name: a frame waits for those before it
     started = time.monotonic()
@@ -111,18 +112,26 @@ def infer_frames(
                     if done.died and stop.is_set():  # by the signal that is to end all: it is done on the next run
                         continue
                     ledger.record(done)
-                    count["failed" if done.error else "done"] += 1
+                    over += 1
+                    busy.discard(done.frame.name)
+                    failed.discard(done.frame.name)
+                    if done.error:
+                        failed.add(done.frame.name)
+                    count["done"] += not done.error
                     count["doubtful"] += not done.error and not done.rows[0]["trusted"]
                     early[done.frame.name] = done
                     while early and (watch or in_turn[0] in early):
                         tell(early.pop(done.frame.name if watch else in_turn.popleft()))
-                now, over = time.monotonic(), count["done"] + count["failed"]
+                now = time.monotonic()
                 if now > due and over:
                     ledger.write_tables()
                     due = time.monotonic() + max(GATHER, SELDOM * (time.monotonic() - now))
                 if watcher and not stop.is_set():
-                    come = ledger.missing(watcher.look())
+                    found = watcher.look(busy)
+                    come = ledger.missing(found)
                     waiting.extend(come)
+                    busy.update(frame.name for frame in come)
+                    before |= {frame.name for frame in found} - busy - ledger.recorded
                     total += len(come)
                     if not crew.busy and not waiting:
                         time.sleep(LOOK)
@@ -132,7 +141,9 @@ def infer_frames(
     finally:
         crew.close()
         ledger.write_tables(ended=True)
-    return Tally(**count, before=before, interrupted=interrupted, seconds=time.monotonic() - started)
+    return Tally(
+        **count, failed=len(failed), before=len(before), interrupted=interrupted, seconds=time.monotonic() - started
+    )
 
 
 def words(over: int, total: int, seconds: float, watch: bool = False) -> str:

@@ -31,6 +31,7 @@ from derender.tracking.track import Recorder, Track
 
 POLL = 0.2  # seconds between looks at a folder that grows
 PATIENCE = 10.0  # seconds without a new frame after which a film that is watched has ended
+STALLED = 2.0  # seconds for which a frame that cannot be read has not grown: nobody is writing it any more
 LAG = 3  # frames that an event waits before it is told while the film goes on: later frames may take it back
 
 
@@ -192,10 +193,15 @@ def watched(sources: Any, camera: Any, depth_scale: Any) -> Iterator[tuple[Path,
 
 
 def patiently(path: Path, camera: Any, depth_scale: Any) -> DepthImage:
-    """Read a frame that may still be being written: what fails is tried again a few times."""
-    for _ in range(5):
+    """Read a frame that may still be being written: what fails is tried again until the file has stood still."""
+    state, since = -1, time.monotonic()
+    while True:
         try:
             return read_depth(path, camera, depth_scale, may_be_empty=True)
         except DerenderError:
-            time.sleep(POLL)
-    return read_depth(path, camera, depth_scale, may_be_empty=True)
+            now = path.stat().st_size if path.exists() else -1
+            if now != state:
+                state, since = now, time.monotonic()
+            elif time.monotonic() - since > STALLED:
+                raise
+        time.sleep(POLL)

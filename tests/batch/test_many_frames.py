@@ -191,6 +191,39 @@ def test_tables_that_take_long_are_written_seldom_and_nobody_waits_for_them(tmp_
     assert told[:4] == ["begun", "begun", "recorded", "begun"]
 
 
+def test_a_frame_that_failed_while_its_copy_stalled_is_done_when_it_is_whole(tmp_path, monkeypatch):
+    """A folder is watched; the frame's copy goes on after it has failed, and again while it is worked on."""
+    path, begun = tmp_path / "a.npy", []
+    path.write_bytes(b"half")
+
+    class Crew:
+        size, busy = 1, 0
+
+        def submit(self, frame):
+            self.busy, self.frame = 1, frame
+            begun.append(path.read_bytes())
+
+        def finished(self, timeout):
+            if not self.busy:
+                time.sleep(timeout)
+                return []
+            self.busy = 0
+            if begun[-1] == b"half":
+                path.write_bytes(b"whole")
+                return [failure(self.frame, "cut off")]
+            signal.raise_signal(signal.SIGINT)
+            return [Done(self.frame, [{**failure(self.frame, "")[1][0], "status": "done", "trusted": True}])]
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr("derender.batch.frames.SETTLED", 0.1)
+    told = []
+    tally = infer_frames([str(tmp_path)], tmp_path / "out", Order(), lambda order, out: Crew(), True, told.append)
+    assert begun == [b"half", b"whole"] and [bool(done.error) for done in told] == [True, False]
+    assert (tally.done, tally.failed, tally.before) == (1, 0, 0)
+
+
 def test_a_frame_counts_as_done_only_once_its_thumbnail_is_there(tmp_path):
     (tmp_path / "summary.json").write_text("{}")
     assert not is_done(tmp_path)  # killed between the two

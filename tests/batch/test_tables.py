@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
@@ -99,6 +100,19 @@ def test_a_file_that_grows_is_left_alone(tmp_path, monkeypatch):
         clock[0] += later
         looks.append(watch.look())
     assert [len(look) for look in looks] == [0, 0, 0, 0, 1, 0]
+    (tmp_path / "a.npy").write_bytes(b"1234")  # its copy had stalled
+    looks, later = [watch.look()], clock[0] + 1.5
+    clock[0] = later
+    looks += [watch.look(busy={"a"}), watch.look(), watch.look()]
+    assert [len(look) for look in looks] == [0, 0, 1, 0]
+
+
+def test_a_file_that_was_written_seconds_ago_may_still_grow(tmp_path):
+    """A slow copy stalls for seconds; one that lay there for minutes is taken at once."""
+    for name, ago in (("stalls.npy", 10.0), ("lay.npy", 600.0)):
+        (tmp_path / name).write_bytes(b"1")
+        os.utime(tmp_path / name, (time.time() - ago,) * 2)
+    assert [frame.name for frame in Watch([str(tmp_path)], tmp_path / "out").look()] == ["lay"]
 
 
 def test_rows_hold_size_place_and_turn():

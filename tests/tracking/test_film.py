@@ -1,12 +1,15 @@
 """Films are read in counting order; what is wrong with one is a line, and never a crash."""
 
+import io
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from derender.errors import DerenderError
 from derender.tracking.film import frame_files, read_film
+from derender.tracking.run import patiently
 
 CAMERA = {"fx": 80, "fy": 80, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
 
@@ -80,3 +83,21 @@ def test_a_fault_is_one_line(tmp_path, name):
 def test_a_name_that_is_not_there_is_said(tmp_path):
     with pytest.raises(DerenderError):
         read_film([tmp_path / "none"])
+
+
+def test_a_frame_that_is_still_being_copied_is_waited_for(tmp_path, monkeypatch):
+    whole = io.BytesIO()
+    np.save(whole, np.ones((4, 4), np.float32))
+    path, pieces = tmp_path / "a.npy", [whole.getvalue()[:count] for count in (40, 100, 140)] + [whole.getvalue()]
+    clock = [0.0]
+
+    def sleep(seconds):
+        clock[0] += 1.5  # each piece comes so much later
+        if pieces:
+            path.write_bytes(pieces.pop(0))
+
+    monkeypatch.setattr("derender.tracking.run.time", SimpleNamespace(monotonic=lambda: clock[0], sleep=sleep))
+    assert patiently(path, None, None).depth.shape == (4, 4)
+    path.write_bytes(b"half")
+    with pytest.raises(DerenderError):
+        patiently(path, None, None)
