@@ -12,7 +12,7 @@ and only the scales of their steps adapt in their warm-up.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -226,11 +226,16 @@ BISECTIONS = 60  # halve [present, 1] to below the spacing of floating point num
 
 
 class Population(NamedTuple):
-    """Particles of equal weight from the posterior."""
+    """Particles of equal weight from the posterior, or from one whose likelihood counts for less."""
 
     values: np.ndarray  # (n, P) float64
     densities: np.ndarray  # (n, 2) float64, log prior and log likelihood
     log_evidence: float  # estimate of log p(image); unbiased on the natural scale but for the adaptation
+    exponent: float = 1.0  # of the likelihood: less than 1 where someone stopped it
+
+    def likeliest(self) -> np.ndarray:
+        """Return the values (P,) of the most probable particle."""
+        return self.values[self.densities.sum(axis=1).argmax()]
 
 
 def from_prior(
@@ -302,6 +307,7 @@ def tempered(
     steps: int,
     drawn: int | None = None,
     share: float = 0.5,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Population:
     """Run the sampler.
 
@@ -310,6 +316,7 @@ def tempered(
     particles : how many. steps : of the mixture for each particle and stage.
     drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.
     share : of the particles, the weights' effective number that a stage leaves: the smaller, the fewer stages.
+    stop : asked before each particle moves; the population is then returned as it is.
     """
     values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
     tuning, present = first_tuning(space, values[0]), 0.0
@@ -324,10 +331,12 @@ def tempered(
         chosen = systematic(rng, weights)
         if len(gain) > particles:  # from many draws to the population
             chosen = chosen[rng.permutation(len(gain))[:particles]]
-        values, densities, present = values[chosen], densities[chosen], following
+        values, densities, former, present = values[chosen], densities[chosen], present, following
         tuning = tuning._replace(temperature=present, scale=scale)
         counts = np.zeros((len(parts), 2), np.int64)
         for n in range(particles):
+            if stop():
+                return Population(values, densities, log_evidence, former)
             stretch = backend.sweep(rng, values[n], tuning, 1, steps)
             values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
             counts += stretch.counts

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.compilation.threads import in_threads
+from derender.compilation.threads import in_threads, interruptible
 from derender.document import Document, LikelihoodPrior
 from derender.errors import DerenderError
 from derender.posterior.check import short_of_noise
@@ -25,7 +25,7 @@ from derender.posterior.compiled.backend import backend_of
 from derender.posterior.evidence import evidence_about
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Part
-from derender.posterior.sampler import WALKS, MixtureSampler, Settings, tempered
+from derender.posterior.sampler import WALKS, MixtureSampler, Population, Settings, tempered
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
@@ -313,7 +313,8 @@ def infer_scene(
             continue
         mixed = mixture_of(target, settings)
         if method == "smc":
-            parts.append(weighted(_particles(target, mixed, settings, seed, number, tell), one))
+            drawn, interrupted = _particles(target, mixed, settings, seed, number, tell)
+            parts.append(weighted(drawn, one))
             continue
         backend_of(target, mixed)
         if target.uncompiled and warn is not None and not parts:
@@ -447,15 +448,25 @@ def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: i
 
 def _particles(
     target: SceneTarget, mixed: list[Part], settings: Settings, seed: int, number: int, tell: Progress
-) -> StructurePosterior:
-    """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations."""
-    populations = []
-    for chain in range(settings.chains):
-        tell(chain / settings.chains, "tempering")
-        rng = stream(seed, POPULATIONS, number, chain)
-        backend = backend_of(target, mixed)
-        populations.append(tempered(rng, target.space, backend, mixed, SMC_PARTICLES, SMC_STEPS))
+) -> tuple[StructurePosterior, bool]:
+    """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations.
+
+    Returns also whether someone interrupted them: then of the populations that are done, or the best particle so far.
+    """
+    populations: list[Population] = []
+    with interruptible() as stop:
+        for chain in range(settings.chains):
+            tell(chain / settings.chains, "tempering")
+            rng = stream(seed, POPULATIONS, number, chain)
+            backend = backend_of(target, mixed)
+            found = tempered(rng, target.space, backend, mixed, SMC_PARTICLES, SMC_STEPS, stop=stop.is_set)
+            if stop.is_set() and found.exponent < 1.0:
+                break
+            populations.append(found)
+        interrupted = stop.is_set()
+    if not populations:
+        return part_of_one(target, found.likeliest(), 1.0, {}), interrupted
     densities = np.stack([population.densities for population in populations])
     extras = {"log_evidence": [population.log_evidence for population in populations]}
     values = np.stack([population.values for population in populations])
-    return part_at(target, values, densities, 1.0, extras)
+    return part_at(target, values, densities, 1.0, extras), interrupted

@@ -1,5 +1,6 @@
 """Inference with a given structure, as a whole."""
 
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -110,6 +111,26 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     monkeypatch.undo()
     again = infer_scene(world.document, image, world.document.camera, FEW, Options(folder=tmp_path, resume=True))
     np.testing.assert_array_equal(again.posterior.parts[0].values, whole.posterior.parts[0].values)
+
+
+@pytest.mark.parametrize(("done", "shape"), [(0, (1, 1)), (2, (2, 16))])
+def test_particles_that_someone_stops_leave_the_populations_that_are_done_or_their_best(monkeypatch, done, shape):
+    genuine, begun = given.tempered, []
+
+    def tempered(*arguments, **how):
+        begun.append(0)
+        if len(begun) > done:
+            signal.raise_signal(signal.SIGINT)
+        return genuine(*arguments, **how)
+
+    monkeypatch.setattr(given, "SMC_PARTICLES", 16)
+    monkeypatch.setattr(given, "SMC_STEPS", 2)
+    monkeypatch.setattr(given, "tempered", tempered)
+    world, _, image = image_of(TOWER)
+    result = infer_scene(world.document, image, world.document.camera, Settings(chains=4), Options("smc"))
+    assert result.interrupted and len(begun) == done + 1
+    found = result.posterior.parts[0].log_density
+    assert found.shape == shape and np.isfinite(found).all()
 
 
 def test_chains_that_disagree_go_on_as_if_never_stopped(monkeypatch):
