@@ -66,7 +66,9 @@ class Percent(click.ParamType):
 @click.option("--add", multiple=True, metavar="NEW:box:10x5x5cm@NAME", help="Put an object on another; repeatable.")
 @click.option("--tilt", metavar="10deg[:+x]", help="Lower the floor towards a direction of the root's axes.")
 @click.option("--shake", metavar="2Hz:5mm[:+x]", help="Swing the floor to and fro by twice the length.")
-@click.option("--jitter", metavar="2mm,1deg", help="Displace and turn every object at random, in each draw anew.")
+@click.option(
+    "--jitter", metavar="2mm,1deg", help="Displace and turn all at random, none into another, in each draw anew."
+)
 @click.option("--settle", metavar="FILE.yaml", help="Write the scene as it came to rest, with its new contacts.")
 @click.option("--animate", metavar="FILE.gif", help="Draw the most probable scene as it moves (.gif .webp .mp4 .glb).")
 @options.output("The trajectory of the most probable scene (.npz); of many scenes the table (.csv .jsonl).")

@@ -8,9 +8,10 @@ import numpy as np
 
 from derender.errors import DerenderError, at_fault
 from derender.physics.bodies import Body, Matter
+from derender.physics.jitter import jittered
 from derender.registry import suggest
 from derender.scene.codec.yaml_tree import parse_number
-from derender.scene.pose import from_axes, from_rotation_vector, moved
+from derender.scene.pose import from_axes, from_rotation_vector
 
 
 class Push(NamedTuple):
@@ -55,7 +56,7 @@ class Intervention(NamedTuple):
         middle) each.
     tilt : (radians, direction (3,)) by which the floor is lowered, or None.
     shake : of the floor, or None.
-    jitter : (metres, radians), standard deviations by which every body's place and turn is uncertain.
+    jitter : (metres, radians), standard deviations by which every body's place and turn is uncertain (`jittered`).
     """
 
     pushes: tuple[Push, ...] = ()
@@ -91,13 +92,9 @@ class Intervention(NamedTuple):
             if not moves[name]:
                 others = " ".join(other for other in moves if moves[other]) or "none"
                 raise DerenderError(f"{name!r} does not move", "--push", f"push one that does: {others}")
-        if self.jitter is not None:
-            spread = np.repeat(self.jitter, 3)
-            bodies = [
-                body._replace(pose=moved(body.pose, spread * rng.normal(size=6))) if body.moves else body
-                for body in bodies
-            ]
         found = Matter(tuple(bodies), matter.gravity, tuple(supports))
+        if self.jitter is not None:
+            found = jittered(found, self.jitter, rng)
         return found if self.tilt is None else tilted(found, self.tilt[0], axes @ self.tilt[1])
 
     def in_scene(self, axes: np.ndarray) -> "Intervention":
