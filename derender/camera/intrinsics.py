@@ -16,6 +16,8 @@ from derender.registry import only_its_keywords
 
 FALLBACK_FIELD_OF_VIEW = 60.0  # degrees, horizontal: between a Kinect's 57 and a RealSense D435's 69
 MOST_PIXELS = 2**28
+# Cosine of the most by which a level plane leans against gravity: an accelerometer's error, and a fitted plane's.
+LEVEL = math.cos(math.radians(12.0))
 
 
 @dataclass(frozen=True)

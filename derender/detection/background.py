@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from derender.detection.floor import LEVEL
+from derender.camera.intrinsics import LEVEL
 from derender.detection.freestanding import BORDER, FARTHER, LARGEST, NEARER, outline_shares, stand_free
 from derender.detection.outline import ends_of
 from derender.detection.patches import APART, SeenSurface, local_planes

@@ -21,7 +21,6 @@ from derender.scene.pose import upright_frame
 
 USUAL = 0.8  # metres from which household things are looked at
 BESIDE = 0.1  # metres, seen from USUAL, from its foot over which the floor beside a solid counts by half or more
-LEVEL = np.cos(np.radians(12.0))  # of a floor's normal with gravity: an accelerometer's error, and a fitted plane's
 # Metres below the main plane, however far away, from which on a plane is the room's floor below a table: what stands
 # there is furniture.
 ROOM = 0.45

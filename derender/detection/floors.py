@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.intrinsics import Camera
+from derender.camera.intrinsics import LEVEL, Camera
 from derender.compilation.cache import njit
 from derender.detection.floor import (
-    LEVEL,
     MOST_NOISE,
     NO_PLANE,
     ROUGHEST,

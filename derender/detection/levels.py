@@ -6,7 +6,8 @@ one rises from it as from any floor. Lengths are those of a main plane that is s
 
 import numpy as np
 
-from derender.detection.floor import LEVEL, ROOM
+from derender.camera.intrinsics import LEVEL
+from derender.detection.floor import ROOM
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation

@@ -8,13 +8,14 @@ tell, those between the faces of boxes and the floor: a plane whose inverse dept
 has its normal along (a f, b f, c), and seen with a wrong f they are not right.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.intrinsics import Camera
+from derender.camera.intrinsics import LEVEL, Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
@@ -129,6 +130,7 @@ def check_fit(
         *may_be_objects(clutter, valid),
         *beside(graph, fit, background_over_floor(graph, fit, camera, observed)),
         *no_floor(graph, fit, valid),
+        *not_level(graph, camera),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
         *(wrong_focal_length(faces_of(graph, fit, camera, observed), camera, given) if floors else []),
@@ -241,6 +243,19 @@ def no_floor(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt]:
         how = "is looked at straight on from afar" if any(faced) else "faces sideways in the image"
         doubts.append(Doubt(f"what was taken as the floor {how}: it may be a wall, see --up"))
     return doubts
+
+
+def not_level(graph: SceneGraph, camera: Camera) -> list[Doubt]:
+    """Return a doubt where no plane of the scene is level, going by the gravity that the camera has."""
+    poses = graph.poses()
+    normals = [poses[vertex.name][:3, 2] for vertex in graph.vertices if vertex.body.size() is None]
+    if camera.gravity is None or not normals:
+        return []
+    upright = max(float(-normal @ np.asarray(camera.gravity)) for normal in normals)
+    if upright > LEVEL:
+        return []
+    words = f"the floor leans by {math.degrees(math.acos(max(upright, -1.0))):.0f} degrees against the way up"
+    return [Doubt(f"{words} that --up or the camera file says: one of them is wrong")]
 
 
 def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> list[Doubt]:

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE
 
-from derender.camera.intrinsics import Camera
+from derender.camera.intrinsics import LEVEL, Camera
 from derender.detection.estimate import point_estimate
-from derender.detection.floor import LEVEL
 from derender.detection.floors import find_backdrop, find_floor, floors_of
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Rival, observe

@@ -168,6 +168,16 @@ def test_a_floor_that_explains_less_than_the_background_is_doubted():
     assert not any("less than the background" in doubt.words for doubt in doubts_of(TRUE, image(TRUE)))
 
 
+@pytest.mark.parametrize(("lean", "told"), [(0.0, False), (8.0, False), (30.0, True), (180.0, True)])
+def test_a_floor_that_is_not_level_as_given_is_doubted(lean, told):
+    down = rotation_y(np.deg2rad(lean))[:3, :3] @ -TRUE.poses()["floor"][:3, 2]
+    lean = np.degrees(np.arccos(-down @ TRUE.poses()["floor"][:3, 2]))
+    seen, camera = image(TRUE), replace(CAMERA, gravity=tuple(down))
+    doubts = check_fit(TRUE, fit_of(TRUE, CAMERA, seen, LIKELIHOOD), camera, seen, LIKELIHOOD)
+    words = f"the floor leans by {lean:.0f} degrees against the way up that --up or the camera file says"
+    assert [doubt.words.startswith(words) for doubt in doubts if doubt.serious] == [True] * told
+
+
 def test_a_floor_that_faces_sideways_is_doubted():
     wall = SceneGraph(translation(0.3, 0.0, 0.9) @ rotation_y(np.deg2rad(-100)), on_floor().vertices)
     doubts = doubts_of(wall, image(wall))

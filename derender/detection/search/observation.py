@@ -5,11 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.intrinsics import Camera
+from derender.camera.intrinsics import LEVEL, Camera
 from derender.detection.background import beyond_outline, main_part, standing_bodies, walls_behind
 from derender.detection.floor import (
     GRAZING,
-    LEVEL,
     MOST_NOISE,
     NO_PLANE,
     ROOM,
