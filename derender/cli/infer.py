@@ -117,7 +117,9 @@ IDLE = (
     help="Derivatives that --method map uses.",
 )
 @click.option("--shapes", metavar="NAMES", help="Without --scene: shapes to look for, such as box,cylinder.")
-@click.option("--max-objects", type=click.IntRange(1, 1000), help="Without --scene: at most so many.")
+@click.option(
+    "--max-objects", type=click.IntRange(1, 1000), help="Without --scene: at most so many, free-form things among them."
+)
 @click.option(
     "--floor",
     metavar="PLANE",

@@ -123,7 +123,10 @@ def take_things(
 def likely_things(
     seen: Observation, state: State, masks: list[np.ndarray], settings: Settings
 ) -> tuple[Observation, list[Thing]]:
-    """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen."""
+    """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen.
+
+    Where somebody says how many objects there are at most the largest are told, as seen, and the rest is clutter.
+    """
     behind, found, clutter = seen.behind.copy(), [], []
     taken = np.any([held_out(seen.image, state, -1)[1] >= 0, *masks], axis=0)
     for mask in masks:
@@ -137,6 +140,11 @@ def likely_things(
             clutter.append((mask, existence[0]))
         else:
             found.append(made_thing(seen, state, mask, existence))
+    room = max(settings.max_objects - len(state), 0) if settings.counts_all else len(found)
+    for thing in sorted(found, key=lambda each: -int(each.mask.sum()))[room:]:
+        behind |= thing.mask
+        clutter.append((thing.mask, thing.existence[0]))
+        found = [each for each in found if each is not thing]
     return seen._replace(behind=behind, clutter=(*seen.clutter, *clutter)), found
 
 

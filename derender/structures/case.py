@@ -95,11 +95,11 @@ def settings_of(options: Options) -> Settings:
             may_float="no-floating" not in terms and any(rule.type == "6dof" for rule in prior.contacts.rules),
         )
         if "at-most" in terms:
-            settings = settings._replace(max_objects=terms["at-most"].count)
+            settings = settings._replace(max_objects=terms["at-most"].count, counts_all=True)
     if options.shapes:
         settings = settings._replace(shapes=tuple(options.shapes))
     if options.max_objects:
-        settings = settings._replace(max_objects=options.max_objects)
+        settings = settings._replace(max_objects=options.max_objects, counts_all=True)
     said = options.shapes or options.known or not isinstance(prior, BareImagePrior | None)
     if said or (isinstance(options.floor, str) and options.floor == "none"):
         settings = settings._replace(free_forms=False)  # what there may be is said, or nothing that it could stand on

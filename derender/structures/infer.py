@@ -10,7 +10,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate, settings_for
 from derender.detection.search.greedy import Settings
-from derender.detection.search.observation import CORRELATED, Observation, of_whole_image
+from derender.detection.search.observation import CORRELATED, Observation, Support, of_whole_image
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn
 from derender.structures.answer import answered, observed_under
@@ -129,8 +129,12 @@ def completed(
     parts, observations = finished(rng, case, parts, state, seen, settings), [seen]
     alone = case.plane is None and len(looks) == 1 and not (interrupted or case.library)
     if settings.free_forms and alone:
-        others, look = [], partial(point_estimate, rng, case.depth, case.camera, case.settings)
-        for there, other in further_supports(seen, case.depth.shape, look):
+        others: list[Any] = []
+
+        def look(plane: Support, left: int) -> tuple[State, Observation]:
+            return point_estimate(rng, case.depth, case.camera, case.settings._replace(max_objects=left), plane=plane)
+
+        for there, other in further_supports(seen, state, case.settings, case.depth.shape, look):
             own = settings_for(case.settings, other)
             more = parts_of(rng, other, there, [], own, *case.many, case.only_best)
             both = ((key, extras.get(key), more[0].extras.get(key)) for key in ("pixels", "spots", "hidden_expected"))

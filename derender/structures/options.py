@@ -61,7 +61,7 @@ class Options:
     folder: Path | None = None
     resume: bool = False
     shapes: Sequence[str] | None = None  # names of the shapes to look for; None: all
-    max_objects: int | None = None  # at most so many solids; None: no such limit
+    max_objects: int | None = None  # at most so many solids and free-form things; None: no such limit
     floor: str | Sequence[float] | np.ndarray | None = None
     known: Any = None  # a library of known objects or its file
     only_known: bool = False  # whether there is nothing besides them

@@ -14,8 +14,10 @@ import numpy as np
 
 from derender.detection.floor import NoFloor
 from derender.detection.levels import levels_of, patch_of
+from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import Observation, Support, of_whole_image
 from derender.detection.solids.graph import FLOOR_NAME
+from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, Contact, SceneGraph, floating
 from derender.scene.pose import inverse
@@ -24,22 +26,28 @@ from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
 POSE = tuple(floating(np.eye(4)).values)  # the seven numbers of a contact that holds to nothing
 
 
-def further_supports(seen: Observation, shape: tuple[int, int], look: Callable[..., Any]) -> list[Any]:
+def further_supports(
+    seen: Observation, state: State, settings: Settings, shape: tuple[int, int], look: Callable[..., Any]
+) -> list[tuple[State, Observation]]:
     """Return [(State, Observation)] of further planes on which something stands, the largest first.
 
-    seen : Observation of the main plane. shape : (H, W) of the image as it came. look : function with a keyword
-    `plane`, a Support, that returns both.
+    seen, state : of the main plane. settings : how many objects there may be on all. shape : (H, W) of the image as it
+    came. look : function of a plane, a Support, and of how many objects there may be on it, that returns both.
     """
-    found: list = []
+    found, left = [(state, seen)], settings.max_objects
     for plane in levels_of(seen):
-        explained = [~of_whole_image(each.behind, each, shape) for each in (seen, *(other for _, other in found))]
+        if settings.counts_all:
+            left = settings.max_objects - sum(len(there) + len(each.things) for there, each in found)
+        if left <= 0:
+            break
+        explained = [~of_whole_image(each.behind, each, shape) for _, each in found]
         try:
-            state, other = look(plane=Support(*plane, np.any(explained, axis=0)))
+            there, other = look(Support(*plane, np.any(explained, axis=0)), left)
         except NoFloor:
             continue
-        if not other.no_floor and (len(state) or other.things):
-            found.append((state, other))
-    return found
+        if not other.no_floor and (len(there) or other.things):
+            found.append((there, other))
+    return found[1:]
 
 
 def with_supports(parts: list[StructurePosterior], seen: Observation, others: list[Any]) -> list[StructurePosterior]:

@@ -5,6 +5,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.document import read_document, write_document
@@ -149,3 +150,21 @@ def test_things_on_two_tables_stand_on_their_own():
         apart = [np.linalg.norm(np.array(item["pose"])[:3, 3] - true["pose"][:3, 3]) for true in scene.objects]
         assert min(apart) < 0.01 and same[item["parent"]] == scene.objects[int(np.argmin(apart))]["parent"]
     assert posterior.explanation.share(scene.depth) > 0.985
+
+
+@pytest.mark.parametrize(("kind", "count"), [("heights", 2), ("beside", 2)])
+def test_no_more_objects_are_told_than_someone_says_there_are(kind, count):
+    """Solids that were not looked for were free-form things, and further planes had as many again."""
+    if kind == "heights":
+        scene = make(np.random.default_rng([1, list(KINDS).index("heights")]), "heights")
+        depth, camera = scene.depth, scene.camera
+    else:
+        graph = on_floor(cube("left", -0.2, theta=0.3, side=0.12), cube("right", 0.2, theta=0.3), distance=0.9)
+        camera, depth = CAMERA, render_depth(graph.solids(), CAMERA)[0]
+        depth = depth + np.random.default_rng(0).normal(0.0, 0.001, depth.shape)
+    asked = (Options(seed=0, method="map", quick=True, max_objects=most) for most in (count, 1))
+    found = [infer_structure(depth, camera, options) for options in asked]
+    solids = [[v for v in each.best_graph().vertices if v.body.size() is not None] for each in found]
+    assert [len(each) for each in solids] == [count, 1] and solids[1][0].shape != "thing"
+    if kind == "beside":
+        assert [round(probability, 1) for probability, *_ in found[1].meta["clutter"]] == [1.0]  # it is doubted

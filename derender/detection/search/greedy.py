@@ -47,6 +47,7 @@ class Settings(NamedTuple):
 
     shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")  # names of the shapes that may occur
     max_objects: int = 30  # how many solids there may be
+    counts_all: bool = False  # whether that was said, and of free-form things too
     price: float = 40.0  # nats that a solid must gain to be believed
     slack: float = SLACK  # metres within which contacts hold
     tilt: float = 0.0  # radians off the vertical that a standing solid may have
