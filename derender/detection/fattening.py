@@ -15,6 +15,7 @@ from derender.detection.floor import pixel_noise
 JUMP, CLEAR = 0.03, 8.0
 INSIDE = np.arange(3.0, 7.0)  # pixels within a silhouette whose line goes on to it: what is flat is no part of it
 BENT = np.array([1.0, -1.0, -1.0, 1.0])  # how far those are from lying on a line
+WAVED = np.array([-1.0, 3.0, -3.0, 1.0])  # from lying on a parabola: what is left of smooth surfaces is noise
 SLOPES = 0.002, 0.012  # shares of the depth by pixel: flatter is told by nothing, steeper is seen at a grazing angle
 ROUGH, NOISE = 4.0, 2.5  # standard deviations from which on pixels are on no line, and silhouettes tell something else
 TO_SIGMA = 1.4826  # standard deviations of a normal in the median of its absolute value
@@ -63,20 +64,28 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
             middle, slope = inner.mean(axis=0), away @ inner / (away @ away)
             rough = np.mean((inner - middle - slope * away[:, None]) ** 2, axis=0)
             rise = image[row - within, column] / edge - middle + slope * (INSIDE.mean() - within)
-            found.append(np.stack([slope, BENT @ inner, rise, rough, jump[row, column]])[:, np.isfinite(slope)])
-    slope, bent, rise, rough, most = np.concatenate(found, axis=1)
+            found.append(np.stack([slope, BENT @ inner, rise, rough, jump[row, column], WAVED @ inner])
+                         [:, np.isfinite(slope)])  # fmt: skip
+    slope, bent, rise, rough, most, waved = np.concatenate(found, axis=1)
     good = (np.abs(slope) > SLOPES[0]) & (np.abs(slope) < SLOPES[1]) & (np.abs(rise) < most)
     if good.any():
         good &= rough <= ROUGH**2 * np.median(rough[good])
-    terms, rise, pixels, spread = np.column_stack([slope, bent])[good], rise[good], 0.0, np.inf
+    terms, rise, pixels, error = np.column_stack([slope, bent])[good], rise[good], 0.0, np.inf
+    noise = (TO_SIGMA * np.median(np.abs(waved[good]))) ** 2 / (WAVED @ WAVED) if good.any() else 0.0  # variance
+    of_slope = noise / (away @ away)
+    by_noise = np.diag([of_slope, noise * (BENT @ BENT)]), np.array([(INSIDE.mean() - within) * of_slope, 0.0])
     for _ in range(ROUNDS):
-        if len(terms) < FEWEST:
+        sums = terms.T @ terms
+        squares = sums - len(terms) * by_noise[0]
+        if len(terms) < FEWEST or np.linalg.eigvalsh(squares)[0] <= 0.0:  # too few, or slopes that noise makes
             return 0.0, np.inf
-        fitted = np.linalg.lstsq(terms, rise, rcond=None)[0]
+        spreads = np.linalg.inv(squares)
+        fitted = spreads @ (terms.T @ rise - len(terms) * by_noise[1])
         left = np.abs(rise - terms @ fitted)
         pixels, spread = float(fitted[0]), TO_SIGMA * float(np.median(left))
+        error = spread * float(np.sqrt((spreads @ sums @ spreads)[0, 0]))
         terms, rise = terms[left < NOISE * spread], rise[left < NOISE * spread]
-    return pixels, spread * float(np.sqrt(np.linalg.pinv(terms.T @ terms)[0, 0]))
+    return pixels, error
 
 
 def fattened(depth: np.ndarray) -> bool:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import minimum_filter
 
-from derender.detection.fattening import fattened, flat_pixels, thinned
+from derender.detection.fattening import LEAST, TOLD, fattened, flat_pixels, thinned
 from derender.scene.pose import translation
 from derender.structures.case import case_of
 from derender.structures.options import Frame, Options
@@ -49,6 +49,14 @@ def test_noise_of_single_pixels_makes_no_silhouettes(sigma):
     for seed in range(994000, 994006):
         _, image, _, _ = drawn_scene(seed, "tabletop", (160, 120), sigma)
         assert not fattened(image)
+
+
+def test_noise_is_no_flat_pixel():
+    """Slopes and what lines go on to have the same noise: by least squares these were told to be .5 to 1.4 pixels."""
+    for number in (5304, 6002, 6004, 6023, 6024):
+        found, error = flat_pixels(scene("cartons", number).depth)
+        assert error > TOLD or abs(found) < LEAST, number
+        assert not fattened(scene("cartons", number).depth)
 
 
 def test_what_grows_flat_over_several_pixels_is_smoothed_and_stays():
