@@ -10,7 +10,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate, settings_for
 from derender.detection.search.greedy import Settings
-from derender.detection.search.observation import CORRELATED, Observation, Support, of_whole_image
+from derender.detection.search.observation import CORRELATED, Observation, Support, of_whole_image, whole_image
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn
 from derender.structures.answer import answered, observed_under
@@ -97,10 +97,10 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
             from derender.structures.known.posterior import known_posterior
 
             others, fewest = not case.options.only_known, (1, 1) if only_best else case.many
-            coarse = settings._replace(reduced=seen.factor > 1)
-            whole = partial(observed_under, observations=[seen], case=case)
-            return known_posterior(rng, seen.image, state, coarse, seen.floor.pose, whole, case.library, others,
-                                   *fewest)  # fmt: skip
+            under = partial(observed_under, observations=[seen], case=case)
+            as_it_came = whole_image(seen, case.depth, case.camera)
+            return known_posterior(rng, seen.image, as_it_came, state, settings, seen.floor.pose, under, case.library,
+                                   others, *fewest)  # fmt: skip
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)
         return parts_of(rng, seen, state, pool, settings, *case.many, only_best, looks[0].refined)

@@ -1,6 +1,7 @@
 """A depth image made ready for the search: reduced, in the floor's axes, its noise known, its background told apart."""
 
 import contextlib
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ from derender.detection.patches import Patches, SeenSurface, find_patches
 from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
+from derender.detection.solids.misfit import AS_SEEN
 from derender.scene.priors.bare_image import Floors
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
@@ -379,6 +381,22 @@ def of_whole_image(mask: np.ndarray, seen: Observation, shape: tuple[int, int]) 
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
     return mask[rows[:, None], columns]
+
+
+def whole_image(seen: Observation, depth: np.ndarray, camera: Camera) -> Image:
+    """Return the Image of all pixels of a depth image (H, W) as it came, taken as an Observation of it takes them.
+
+    Pixels of a block weigh together what the one that stands for them weighs where it is searched.
+    """
+    if seen.factor == 1:
+        return seen.image
+    there = partial(of_whole_image, seen=seen, shape=depth.shape)
+    weight, bend = there(seen.image.weight), 0.0 if seen.bend is None else there(seen.bend)
+    sigma = seen.factor * np.sqrt(0.5 / np.where(weight > 0, weight, 1.0))
+    image = make_image(np.where(weight > 0, depth + bend, np.nan), sigma, camera, seen.floor.pose)
+    as_seen = there((np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & (seen.image.weight > 0))
+    image.floor[as_seen] = image.depth[as_seen]
+    return image
 
 
 def raise_wall(image: Image) -> tuple[np.ndarray, float | None]:

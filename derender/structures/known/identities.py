@@ -34,7 +34,6 @@ REACH = 0.02  # metres off its support at which an object still stands on it
 TRIED = 4  # ways of lying that are refined, of all that are looked at
 ENDS = 0.003  # share of the points that show a grid which may lie beyond its ends: noise
 UNSURE = 0.025  # metres by which the ends of what is seen may be off a grid's
-EXACT = 0.015  # metres within which a free size counts as told: half a metre less the nats of `cube_bonus` for one
 LEAST_OVER = 0.1  # metres that the camera is over a top, at least: from lower its far end is not seen
 SHOWN = 4  # pixels that show a known object: of fewer, and of noise, nothing is learnt of where it is
 SHRUNK = 0.9  # of the box that stands for a mesh where solids must not enter each other: most meshes are rounder
@@ -64,7 +63,8 @@ class Placement:
     """Puts known objects into one image."""
 
     rng: np.random.Generator
-    image: Image
+    image: Image  # as it is searched
+    whole: Image  # as it came, where that is larger
     state: State  # what the first search found
     settings: Settings
     library: tuple[Known, ...]
@@ -177,23 +177,21 @@ class Placement:
             if taken & set(group):
                 continue
             rest = np.concatenate([np.delete(self.state.rows, [*taken, *group], axis=0), state_of(placed).rows])
-            blurred = self.unsure(space) if self.settings.reduced else np.zeros(3)
-            chance = self.settings.temper * np.log(np.maximum(2.0 * blurred / EXACT, 1.0)).sum()
 
             def misfit(rows, rest=rest):
-                return held_out(self.image, State(np.vstack([rest, rows])), -1)[3]
+                return held_out(self.whole, State(np.vstack([rest, rows])), -1)[3]
 
             found: list[tuple[float, list[Placed]]] = []
             for layout in (each for known in self.library for each in layouts_of(space, known)):
                 if layout.counts.prod() <= counts[layout.known.name]:
-                    least, cells = fitted(space, layout, misfit, blurred, self.image.origin)
+                    least, cells = fitted(space, layout, misfit, self.whole.origin)
                     anchors = [group[k % len(group)] for k in range(len(cells))]
                     boxes = [Placed(layout.known, *each, lowest(each[0])) for each in zip(cells, anchors, strict=True)]
-                    found.append((least + chance + self.settings.price, boxes))
+                    found.append((least + self.settings.price, boxes))
             if not found:
                 continue
-            as_found = [self.unknown(anchor) for anchor in group]
-            energy = misfit(self.state.rows[group])
+            as_found = self.as_found(group, rest)
+            energy = misfit(np.array([item.row for item in as_found]))
             found.append((energy + sum(self.price_of_unknown(item.row, item) for item in as_found), as_found))
             found.sort(key=lambda each: each[0])
             (best, boxes), known = found[0], found[0][1][0].known
@@ -203,6 +201,16 @@ class Placement:
                 counts[known.name] -= len(boxes)
             self.rivals += [(energy - best, instead, set(group)) for energy, instead in found[1:]]
         return placed
+
+    def as_found(self, group: list[int], rest: np.ndarray) -> list[Placed]:
+        """Return solids of the first search polished by the image as it came, `rest` (N, ROW) around them."""
+        items, count = [self.unknown(anchor) for anchor in group], len(rest)
+        for k, item in enumerate(items):
+            state = State(np.vstack([rest, *(each.row for each in items)]))
+            row, _, _ = run_polish(self.rng, self.whole, state, count + k, item.row, item.form, item.cube,
+                                   held_out(self.whole, state, count + k), item.base, self.settings)  # fmt: skip
+            items[k] = replace(item, row=row)
+        return items
 
     def spaces(self) -> Iterator[tuple[list[int], Space]]:
         """Yield (solids of the first search, the Space that they fill), what is parallel and together first."""

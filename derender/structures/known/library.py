@@ -231,35 +231,36 @@ def cells_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
 
 
 def hull_of(layout: Layout, numbers: np.ndarray, bottom: float) -> np.ndarray:
-    """Return the rows (1, ROW) of the one box that a grid fills, gaps and all, and what silhouettes add."""
-    size = layout.counts * layout.piece + np.append((layout.counts[:2] - 1) * numbers[3:5], 0.0) + numbers[5:]
+    """Return the rows (1, ROW) of the one box that a grid fills, gaps and all."""
+    size = layout.counts * layout.piece + np.append((layout.counts[:2] - 1) * numbers[3:5], 0.0)
     return make_row(BOX, rotation_z(numbers[2])[:3, :3], np.array([*numbers[:2], bottom + 0.5 * size[2]]), size)[None]
 
 
 def with_gaps(layout: Layout, numbers: np.ndarray, gaps: tuple[float, ...], origin: np.ndarray) -> np.ndarray:
     """Return the numbers of a grid with other gaps whose faces towards the camera stay where they are."""
     axes = rotation_z(numbers[2])[:2, :2]
-    found = np.array([*numbers[:3], *gaps, 0.0, 0.0, 0.0])
+    found = np.array([*numbers[:3], *gaps])
     grown = (hull_of(layout, found, 0.0) - hull_of(layout, numbers, 0.0))[0, SIZE : SIZE + 2]
     found[:2] += axes @ (0.5 * np.sign(axes.T @ (numbers[:2] - origin[:2])) * grown)
     return found
 
 
 def fitted(
-    space: Space, layout: Layout, misfit: Callable[[np.ndarray], float], blurred: np.ndarray, origin: np.ndarray
+    space: Space, layout: Layout, misfit: Callable[[np.ndarray], float], origin: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return (misfit, rows (N, ROW)) of a layout, moved and its gaps changed while that explains the image better.
 
-    As the one box that it fills, for gaps are narrower than the pixels of an image that is searched and show in few of
-    them, and then as its boxes, for some gaps do show: the better of the two counts.
+    As the one box that it fills first, which is a fraction of the work, and then as its boxes, for some gaps show: from
+    where that box stands, or with others of the gaps that it may have.
 
-    misfit : of the image, of rows (N, ROW). blurred : (3,) metres by which silhouettes may be off, so that the one
-        box may look that much larger or smaller than the grid. origin : (3,) the camera's centre.
+    misfit : of the image, of rows (N, ROW). origin : (3,) the camera's centre.
     """
-    between = np.maximum(layout.counts[:2] - 1, 1)
-    scale = np.array([1.0, 1.0, 2.0 / float(space.size[:2].max()), *(1.0 / between), 1.0, 1.0, 1.0])
-    low = np.array([*np.full(3, -np.inf), 0.0, 0.0, *-blurred])
-    high = np.array([*np.full(3, np.inf), *(GAP * (layout.counts[:2] > 1)), *blurred])
+    scale = np.array([1.0, 1.0, 2.0 / float(space.size[:2].max()), *(1.0 / np.maximum(layout.counts[:2] - 1, 1))])
+    low, high = (np.array([*np.full(3, end), *gaps]) for end, gaps in
+                 ((-np.inf, np.zeros(2)), (np.inf, GAP * (layout.counts[:2] > 1))))  # fmt: skip
+
+    # A gap is changed by itself, the grid's middle staying, and with the faces staying that are seen best.
+    ways = [*((k, False) for k in range(5)), (3, True), (4, True)]
 
     def searched(rows, numbers):
         """Return (misfit, numbers) of a pattern search: each number by its step while that helps, then by its half."""
@@ -268,23 +269,20 @@ def fitted(
             better = True
             while better:
                 better = False
-                for k, sign in product(range(len(numbers)), (1.0, -1.0)):
+                for (k, faces_stay), sign in product(ways, (1.0, -1.0)):
                     trial = numbers.copy()
                     if k < 2:  # along its own axes, on which its faces depend one by one
                         trial[:2] += sign * step * rotation_z(numbers[2])[:2, k]
                     else:
                         trial[k] = np.clip(trial[k] + sign * step * scale[k], low[k], high[k])
+                    if faces_stay:
+                        trial = with_gaps(layout, numbers, tuple(trial[3:]), origin)
                     if (trial != numbers).any() and (found := misfit(rows(layout, trial, space.bottom))) < least:
                         least, numbers, better = found, trial, True
         return least, numbers
 
-    numbers = np.append(numbers_of(space, layout), np.zeros(3))
-    seems = space.size - hull_of(layout, numbers, space.bottom)[0, SIZE:]  # larger than its boxes, as it was found
-    numbers[5:] = np.clip(seems, -blurred, blurred)
-    whole, numbers = searched(hull_of, numbers)
-    high[5:] = low[5:] = 0.0
-    starts = [
-        with_gaps(layout, numbers, gaps, origin) for gaps in product(*(np.linspace(0.0, g, 4) for g in high[3:5]))
-    ]
-    parts, apart = searched(cells_of, min(starts, key=lambda each: misfit(cells_of(layout, each, space.bottom))))
-    return min(whole, parts), cells_of(layout, apart if parts < whole else numbers, space.bottom)
+    _, whole = searched(hull_of, numbers_of(space, layout))
+    starts = [whole, *(with_gaps(layout, whole, gaps, origin)
+                       for gaps in product(*(np.linspace(0.0, most, 4) for most in high[3:])))]  # fmt: skip
+    least, found = searched(cells_of, min(starts, key=lambda each: misfit(cells_of(layout, each, space.bottom))))
+    return least, cells_of(layout, found, space.bottom)

@@ -39,6 +39,7 @@ UNKNOWN = "unknown"
 def known_posterior(
     rng: np.random.Generator,
     image: Image,
+    whole: Image,
     state: State,
     settings: Settings,
     floor_pose: np.ndarray,
@@ -52,13 +53,14 @@ def known_posterior(
 
     What one object is tells nothing of what another is: the weight of a structure is the product of its identities'.
 
-    state : what the search for solids of unknown sizes found. seen : from a scene to the whole image bound to the
-    likelihood that it suggests given that scene. library : Known objects.
+    image, whole : as it is searched, and as it came. state : what the search for solids of unknown sizes found.
+    seen : from a scene to the whole image bound to the likelihood that it suggests given that scene.
+    library : Known objects.
     others : whether solids that are none of them may be there.
 
     The first part's extras hold `identities`: for each object, the probability of each name of the library.
     """
-    placement = Placement(rng, image, state, settings, library, others)
+    placement = Placement(rng, image, whole, state, settings, library, others)
     placed = placement.place()
     options, probabilities = [], []
     for k in range(len(placed)):
