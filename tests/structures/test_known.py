@@ -15,6 +15,7 @@ from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_row
 from derender.errors import DerenderError
+from derender.render.blur import blur
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
@@ -64,6 +65,38 @@ def test_identities_and_ways_of_lying(tmp_path):
     part = posterior.best_part
     turns = part.values[..., part.addresses.index("brick.contact.theta")]
     assert 0.0 < turns.std() < np.radians(1.0) and np.isfinite(part.log_likelihood).all()
+
+
+@pytest.mark.parametrize(("bigger", "name"), [(0.0, "brick"), (0.012, "box_1")])
+def test_a_known_object_is_itself_in_a_reduced_image_that_is_blurred(tmp_path, bigger, name):
+    """Blocks of a blurred image fit a box of any size tens of nats better than the known one that is there."""
+    floor = rotation_x(np.pi / 2 + np.radians(40))
+    floor[:3, 3] = [0.0, 0.0, 0.9]
+    camera = Camera(280.0, 280.0, 159.5, 119.5, 320, 240)
+    brick, other = np.array([0.12, 0.08, 0.05]) + bigger, np.array([0.07, 0.06, 0.08])
+    poses = floor @ np.stack([translation(-0.1, 0.0, 0.5 * brick[2]) @ rotation_z(0.4), translation(0.1, 0.02, 0.04)])
+    depth, _ = render_floor_scene(["box", "box"], poses, np.array([brick, other]), floor, camera)
+    depth = blur(depth, 1.0) + 0.001 * np.random.default_rng(0).normal(size=depth.shape)
+    options = Options(known=library(tmp_path), method="map", quick=True)
+    posterior = infer_structure(depth, camera, options, np.random.default_rng(0))
+    assert set(posterior.best_graph().names) == {"floor", name, "box_1" if name == "brick" else "box_2"}
+    assert posterior.object_probability(name) > 0.9
+
+
+def test_a_stranger_is_turned_in_one_way_only(tmp_path):
+    """Its length and width are no others after a quarter turn: chains that swap them disagree about all."""
+    floor = rotation_x(np.pi / 2 + np.radians(40))
+    floor[:3, 3] = [0.0, 0.0, 0.8]
+    camera = Camera(140.0, 140.0, 79.5, 59.5, 160, 120)
+    sizes = np.array([[0.09, 0.07, 0.08]])
+    depth, _ = render_floor_scene(
+        ["box"], floor[None] @ translation(0.0, 0.0, 0.04) @ rotation_z(0.4), sizes, floor, camera
+    )
+    depth = depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape)
+    options = Options(known=library(tmp_path), draws=60, chains=2)
+    part = infer_structure(depth, camera, options, np.random.default_rng(0)).best_part
+    drawn = part.values[..., part.addresses.index("box_1.length")]
+    assert drawn.std() < 0.003 and min(abs(drawn.mean() - size) for size in sizes[0, :2]) < 0.003
 
 
 def test_a_stranger_is_as_rare_as_the_file_says():

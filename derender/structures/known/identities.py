@@ -15,7 +15,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import ROW, SIZE, Image, drawn_alone, make_row, pose_in, put_in
+from derender.detection.solids.image import ROW, SIZE, Image, drawn_alone, make_row, pose_in, put_in, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import change_by, misfit_map
 from derender.detection.solids.polish import FREE, resting_energy
@@ -26,7 +26,7 @@ from derender.render.raycast.depth import draw_mesh
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, MESH, SPHERE
-from derender.structures.known.library import GAP, Known, Space, fitted, layouts_of, space_of
+from derender.structures.known.library import GAP, LEVEL, Known, Space, fitted, layouts_of, space_of
 
 LEAST_TILT = np.radians(0.5)
 SCALES = np.array([0.006, 0.006, 0.003, 0.006, 0.001, 0.001])
@@ -267,6 +267,23 @@ class Placement:
                 placed = [*placed, replace(item, row=row)]
         return placed
 
+    def as_large(self, item: Placed, row: np.ndarray) -> bool:
+        """Whether a solid of unknown sizes, a row (ROW,), is a known object as far as a reduced image tells.
+
+        Its blocks put silhouettes by up to half of one wrong, which costs a solid of given sizes tens of nats and one
+        of free sizes nothing: within that both explain the image as well. (Of 80 made images with two of three known
+        objects and a stranger, 320 and 640 columns wide, sharp and blurred, identities were right in 55, 77 so.)
+        """
+        if item.known is None or item.known.shape == "mesh" or int(row[0]) != int(item.row[0]):
+            return False
+        across = np.abs(rotation_of(row).T @ rotation_of(item.row))
+        if int(row[0]) == BOX and (across.max(axis=0) < LEVEL).any():  # they lie in different ways
+            return False
+        size = item.known.size[across.argmax(axis=1)] if int(row[0]) == BOX else item.known.size
+        block = np.linalg.norm(self.image.direction[0, 1] - self.image.direction[0, 0])
+        block *= np.linalg.norm(row[10:13] - self.image.origin)  # metres: half of one at either end
+        return bool((np.abs(row[SIZE:] - size) <= block).all())
+
     def price_of_unknown(self, row: np.ndarray, item: Placed) -> float:
         """Return the price in nats of a solid of unknown sizes: `cube_bonus` is what two free sizes cost."""
         settings, kind = self.settings, int(row[0])
@@ -329,6 +346,9 @@ class Placement:
         if self.others:
             item = self.unknown(anchor) if own.known is not None else own
             row, energy, _ = self.polished(item, placed, k, (*view, 0.0))
+            if self.settings.reduced:
+                found = [(min(each, energy + self.settings.price) if self.as_large(other, row) else each, other)
+                         for each, other in found]  # fmt: skip
             energy += self.price_of_unknown(row, item)
             found.insert(0 if own.known is None else len(found), (energy, replace(item, row=row)))
         return found

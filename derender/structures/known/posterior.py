@@ -32,6 +32,7 @@ Seen = Callable[[SceneGraph], ObservedImage]
 
 WARMUP = 400  # rounds of the chains before their first draw, in which steps shrink from centimetres to what images tell
 DIFFERENCE = 1e-6  # of a number of a contact, by which metres for each of it are told
+EIGHTH = 0.25 * math.pi  # of a turn: farther on a box is another one, its length and width swapped
 NEAR = 0.1  # metres along a floor from where an object was placed that it may be
 UNKNOWN = "unknown"
 
@@ -192,6 +193,8 @@ def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str], unseen: li
                 continue  # how a can that carries nothing is turned about itself nothing tells
             bounded = math.isfinite(parameter.upper - parameter.lower)
             low, high = (parameter.lower, parameter.upper) if bounded else (value - NEAR, value + NEAR)
+            if name in unknown and parameter.name == "theta" and vertex.shape == "box":
+                low, high = value - EIGHTH, value + EIGHTH
             if name in unseen:
                 off, turns = GAP / metres_of(graph, vertex, parameter.name), graph.period(address) is not None
                 low, high = (value - off, value + off) if turns else (max(low, value - off), min(high, value + off))
