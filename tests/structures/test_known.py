@@ -83,6 +83,23 @@ def test_a_known_object_is_itself_in_a_reduced_image_that_is_blurred(tmp_path, b
     assert posterior.object_probability(name) > 0.9
 
 
+@pytest.mark.parametrize("strange", [False, True])
+def test_what_no_solid_beside_a_known_one_explains_is_told(tmp_path, strange):
+    """A smooth heap was told as a cylinder and some boxes, and nothing spoke against them."""
+    floor = rotation_x(np.pi / 2 + np.radians(40))
+    floor[:3, 3] = [0.0, 0.0, 0.8]
+    camera = Camera(140.0, 140.0, 79.5, 59.5, 160, 120)
+    pose, size = floor @ translation(-0.1, 0.0, 0.025) @ rotation_z(0.4), np.array([[0.12, 0.08, 0.05]])
+    depth, _ = render_floor_scene(["box"], pose[None], size, floor, camera)
+    if strange:
+        row, column = np.mgrid[:120, :160]
+        depth -= 0.07 * np.exp(-0.5 * ((row - 70) ** 2 + (column - 115) ** 2) / 6.0**2)
+    depth = depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape)
+    options = Options(known=library(tmp_path), draws=20, chains=1)
+    posterior = infer_structure(depth, camera, options, np.random.default_rng(0))
+    assert "brick" in posterior.best_graph().names and bool(posterior.meta["spots"]) == strange
+
+
 def test_a_stranger_is_turned_in_one_way_only(tmp_path):
     """Its length and width are no others after a quarter turn: chains that swap them disagree about all."""
     floor = rotation_x(np.pi / 2 + np.radians(40))

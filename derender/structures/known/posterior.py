@@ -18,6 +18,9 @@ from derender.detection.solids.state import State
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import MixtureSampler
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts
+from derender.render.blur import blur
+from derender.render.likelihoods import likelihoods
+from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
 from derender.sampling.chains import Plan, run_chains
 from derender.scene.distributions import Distribution, distributions
@@ -27,6 +30,7 @@ from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.structures.known.identities import SHOWN, Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import GAP, Known
 from derender.structures.parts import LEAST_LIKELY, likeliest, part_of, part_of_one
+from derender.structures.unexplained import MOST_OF_ONE, SURELY, spots
 
 Seen = Callable[[SceneGraph], ObservedImage]
 
@@ -80,7 +84,7 @@ def known_posterior(
         for name, found, share in zip(names, options, probabilities, strict=True)
     }  # fmt: skip
     best = part_of_known(rng, placement, placed, names, floor_pose, seen, chains, draws)
-    parts = [replace(best, extras={"identities": identities})]
+    parts = [replace(best, extras={**best.extras, "identities": identities})]
     leading = tuple(int(np.argmax(share)) for share in probabilities)
     total = 1.0 / float(np.prod([share.max() for share in probabilities]))  # of all, told or not
     for chosen, weight in likeliest(probabilities):
@@ -141,7 +145,10 @@ def part_of_known(
     rng: np.random.Generator, placement: Placement, placed: list[Placed], names: list[str], floor_pose: np.ndarray,
     seen: Seen, chains: int, draws: int,
 ) -> StructurePosterior:  # fmt: skip
-    """Return draws of all numbers under given identities, by chains from where things were placed; of one the place."""
+    """Return draws of all numbers under given identities, by chains from where things were placed; of one the place.
+
+    The extras of draws hold the `spots` that the likeliest of them leaves.
+    """
     parents, bases = placement.parents(placed)
     placed = [replace(item, base=base) for item, base in zip(placed, bases, strict=True)]
     graph = graph_of(placed, parents, floor_pose, names)
@@ -161,7 +168,24 @@ def part_of_known(
     part = part_of(target, list(outcome.records.values()), parts)
     if part is None or outcome.interrupted:
         raise KeyboardInterrupt
-    return part
+    return replace(part, extras={**part.extras, "spots": spots_left(target, placement.settings, part)})
+
+
+def spots_left(target: SceneTarget, settings: Settings, part: StructurePosterior) -> list[list[float]]:
+    """Return the places of what a part's likeliest scene leaves unexplained that is surely no noise, see `spots`.
+
+    What neighbouring pixels share is not told from noise so.
+    """
+    if settings.temper > 1.0:
+        return []
+    images = target.images
+    numbers = likelihoods[images.type].complete(images.values)
+    clean = render_depth(part.best()[0].solids(), images.camera, background=numbers["background"])[0]
+    model = blur(clean, numbers["blur"])
+    noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * model**2
+    seen = np.isfinite(images.observed) & (images.observed > 0)
+    nearer = np.where(seen, np.clip((model - images.observed) / noise, -MOST_OF_ONE, MOST_OF_ONE), np.nan)
+    return [spot.place for spot in spots(nearer) if spot.strength > SURELY]
 
 
 class Even(NamedTuple):
