@@ -87,6 +87,16 @@ def doubtful(row: Mapping[str, Any]) -> bool:
     return bool((np.isfinite(r_hat) and r_hat > largest) or (np.isfinite(ess) and ess < smallest))
 
 
+def misleads(row: Mapping[str, Any]) -> bool:
+    """Return whether the chains of a row say so different things that none of them is to be believed.
+
+    Chains that differ by less than any quick look's may, and are worth enough draws together, ought to go on: what they
+    tell is off by little of its own spread.
+    """
+    r_hat, ess, enough = row["r_hat"], row["ess_bulk"], limits(row["draws"].size)[1]
+    return bool((np.isfinite(r_hat) and r_hat > QUICK_LIMITS[0]) or (np.isfinite(ess) and ess < enough))
+
+
 def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> tuple[Doubt, ...]:
     """Return the reasons not to trust a posterior that its chains give.
 
@@ -142,10 +152,12 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         row, most = bad[0], left_open(posterior, bad[0])
         r_hat = f"R-hat {row['r_hat']:.3f}, " if np.isfinite(row["r_hat"]) else ""
         words = f"the chains disagree about {row['address']}: {r_hat}{row['ess_bulk']:.0f} effective draws"
-        words += "" if np.isinf(most) else f", which leave {1000 * most:.1f} mm open"
-        names = {row["address"].partition(".")[0] for row in bad if left_open(posterior, row) >= faces}
-        own = names if np.isfinite(most) else None  # else of the root or the likelihood
-        far = any(left_open(posterior, row) > (OFF * size_of(posterior, row).max() if faces else 0.0) for row in bad)
+        words += "" if np.isinf(most) else f", which leave {1000 * most:.1g} mm open"
+        worst = [row for row in bad if misleads(row)]
+        names = {row["address"].partition(".")[0] for row in worst if left_open(posterior, row) >= faces}
+        own = names if np.isfinite(most) or not worst else None  # else of the root or the likelihood
+        far = any(left_open(posterior, row) > (OFF * size_of(posterior, row).max() if faces else 0.0)
+                  for row in worst)  # fmt: skip
         told.append(Doubt(f"{words}; --draws {enough_draws(bad)} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
 
