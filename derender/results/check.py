@@ -353,7 +353,7 @@ def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -
     """Return a doubt where with another focal length far more of the angles between Faces are right ones; worth
     knowing, of one that was given, where no box is seen that could tell."""
     if len(faces) < 2:
-        words = "no box is seen that tells whether the camera's focal length is right: lengths are only as right as it"
+        words = "no box is seen that tells whether the camera's focal length is right, on which all lengths hang"
         return [Doubt(words, False)] if given else []
     focal = np.sqrt(camera.fx * camera.fy)
     stretch = np.array([camera.fx / focal, camera.fy / focal, 1.0])  # of pixels that are not square
