@@ -12,6 +12,7 @@ CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f
 TRACE_POINTS = 160
 RANK_BINS = 20
 TRACE_SIZE, RANK_SIZE = (200, 34), (130, 34)  # pixels
+CHARACTER, PADDING = 0.58, 8.0  # width of a character in its size, of wide fonts; beside words in a box
 MOST_ABREAST = 5  # objects beside each other whose words can be read
 
 
@@ -63,10 +64,10 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
             'stroke-width="1.6"/>'
         )
         top = y - 0.5 * height + (19 if shown else 27)  # the root has one line less: it rests on nothing
-        parts.append(_text(x, top, name, size=13, weight=600))
-        parts.append(_text(x, top + 17, _node_words(shown), size=11))
+        parts.append(_text(x, top, name, size=13, weight=600, room=width))
+        parts.append(_text(x, top + 17, _node_words(shown), size=11, room=width))
         if shown:
-            parts.append(_text(x, top + 34, _edge_words(shown), size=10.5, faint=True))
+            parts.append(_text(x, top + 34, _edge_words(shown), size=10.5, faint=True, room=width))
         if shown is not None and shown.get("size") is not None:
             parts.append("</g>")
     scale = min(1.0, 720 / total_width)
@@ -175,9 +176,13 @@ def _chain_colour(chain: int) -> str:
     return CHAIN_COLOURS[chain % len(CHAIN_COLOURS)]
 
 
-def _text(x: float, y: float, words: str, size: float, weight: int = 400, faint: bool = False) -> str:
+def _text(
+    x: float, y: float, words: str, size: float, weight: int = 400, faint: bool = False, room: float = np.inf
+) -> str:
+    """Return words whose middle is at (x, y), smaller where they would not fit into a room of so many units."""
+    size = min(size, np.floor(10.0 * (room - PADDING) / (CHARACTER * max(len(words), 1))) / 10.0)
     return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size}" font-weight="{weight}" '
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size:g}" font-weight="{weight}" '
         f'class="{"faint" if faint else "ink"}">{escape(words)}</text>'
     )
 

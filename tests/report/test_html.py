@@ -111,6 +111,15 @@ def test_a_broad_scene_graph_lies_so_that_its_words_can_be_read():
     assert width < 800 < height and picture.count("<rect") == 22
 
 
+def test_words_fit_into_their_boxes():
+    thing = {"name": "thing_1", "parent": "floor", "type": "thing", "size": [0.101, 0.102, 0.192], "probability": 0.97}
+    long = {**thing, "name": "the_object_of_the_library_with_the_longest_name"}
+    picture = svg.graph_svg({"objects": [{"name": "floor", "type": "plane", "size": None}, thing, long]})
+    sizes = {words: float(size) for size, words in re.findall(r'font-size="([\d.]+)"[^>]*>([^<]+)<', picture)}
+    assert sizes["thing_1"] == 13 and "thing 10.1 × 10.2 × 19.2 cm · p .97" in sizes
+    assert all(0.56 * len(words) * size < 190 for words, size in sizes.items())  # of 196 that a box is wide
+
+
 def test_probabilities_are_said_where_draws_tell_them(report):
     text = page(report)
     assert "<td class=number>.75</td>" in text and "p .75" in text and "p .50" in text
