@@ -18,6 +18,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import click
@@ -26,6 +27,9 @@ from click.core import ParameterSource
 from derender.compilation.threads import processors
 from derender.errors import Idle, idle_lines, printable
 
+# How `output` says that a folder is written; names that only a file has: whoever gives one expects a single file.
+FOLDERS = ("DIR", "FOLDER")
+OF_FILES = (".npz", ".npy", ".png", ".tif", ".tiff", ".exr", ".yaml", ".yml", ".json", ".csv", ".html")
 PATIENCE = 2.0  # seconds that a person waits without asking what is going on
 
 
@@ -213,6 +217,8 @@ def output(help: str, metavar: str = "PATH", **more: Any) -> Callable[..., Any]:
     def named(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
         if value == "":
             raise click.BadParameter("it is empty")
+        if value and metavar in FOLDERS and Path(value).suffix.lower() in OF_FILES and not Path(value).is_dir():
+            raise click.BadParameter(f"a folder is written, and {printable(value)} is the name of a file")
         return value
 
     return click.option("-o", "--output", metavar=metavar, help=help, callback=named, **more)

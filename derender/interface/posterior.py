@@ -220,6 +220,8 @@ class Posterior(kept.Posterior):
         draws : to simulate. until : instead, as many as it takes to a standard error no greater than this.
         how : engine, duration and jobs, and what is done to the scene: push, remove, add, tilt, shake, jitter; see
             `derender.simulate`.
+
+        Of what was missed, with probability `missed`, no draw tells: half of that counts as the event.
         """
         graphs = self.each_graph(np.random.default_rng(seed), draws if until is None else MOST_DRAWS)
         return probability(graphs, event, until=until, seed=seed, missed=self.missed, **how)

@@ -115,6 +115,16 @@ def test_what_stderr_does_not_take_costs_nothing(tmp_path):
     assert (tmp_path / "sample_000.npz").exists()
 
 
+@pytest.mark.parametrize("name", ["infer", "sample"])
+def test_a_folder_has_not_the_name_of_a_file(name, capsys, tmp_path, monkeypatch):
+    """`derender sample -o scene.npz` made a folder of that name."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main([name, "tabletop", "-o", "scene.npz"])
+    assert ended.value.code == 2 and "scene.npz is the name of a file" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["calibrate", "export", "infer", "look", "render", "report", "sample", "simulate"])
 def test_an_output_without_a_name_is_a_usage_fault(name, capsys):
     with pytest.raises(SystemExit) as ended:
