@@ -253,8 +253,9 @@ def _lines(found: Any) -> Iterator[Any]:
     from derender.report.tables import number_or_dash, text_table
 
     others = {name: word for name, word in found["engines"].items() if word != found["verdict"]}
-    yield found["verdict"] + (": " + ", ".join(f"{n} after {t:.2f} s" for n, t in found["first_moved"].items())
-                              if found["fallen"] else "")  # fmt: skip
+    # statics tells no time
+    moved = (name + (f" after {time:.2f} s" if time else "") for name, time in found["first_moved"].items())
+    yield found["verdict"] + (": " + ", ".join(moved) if found["fallen"] else "")
     for name, word in others.items():
         yield f"{name} says otherwise: {word}"
     if found["margin"] is not None:

@@ -75,6 +75,7 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     assert json.loads(run(capsys, "simulate", "settled.yaml", "--engine", "both", "--json")[1])["verdict"] == "stands"
     standing = json.loads(run(capsys, "simulate", "stands.yaml", "--engine", "statics", "--forces", "--json")[1])
     assert standing["verdict"] == "stands" and standing["margin"] > 0.1 and len(standing["forces"]) == 2
+    assert run(capsys, "simulate", "falls.yaml", "--engine", "statics")[1].splitlines()[0] == "falls: top"
     shaken = json.loads(run(capsys, "simulate", "stands.yaml", "--jitter", "2mm,1deg", "--until", "10%", "--json")[1])
     assert shaken["draws"] >= 10 and shaken["p_stable_error"] <= 0.1
     status, out, _ = run(capsys, "simulate", "stands.yaml", "falls.yaml", "--json")
