@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -11,7 +12,7 @@ from urllib.parse import quote
 
 from derender import __version__
 from derender.atomic import check_files, locked, make_folder, write_text
-from derender.batch.frames import LEDGER, THUMBNAIL, Done, Frame, Order, is_done, rows_in, still_tells
+from derender.batch.frames import LEDGER, RESULT, THUMBNAIL, Done, Frame, Order, is_done, rows_in, still_tells
 from derender.errors import DerenderError, printable
 from derender.json_text import misfit, parse_json
 from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
@@ -137,12 +138,16 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
     )
     body = "".join(_row(folder, name, states[name], rows) for name, rows in frames.items())
     ranges = ", ± half of their 90 % ranges" if "±" in body else ""
+    bare = next((name for name in frames if f'href="{quote(name)}/{RESULT}"' in body), None)
+    command = escape(printable(shlex.join(["derender", "view", bare or ""])))
+    made = f" A frame's own page is made, in this folder, by <code>{command}</code>." if bare else ""
     inside = (
         f"<h1>{len(frames)} frame{'s' if len(frames) != 1 else ''}</h1>"
         f'<form><fieldset><legend>Show</legend>{filters}</fieldset><label class="search">Search '
         '<input type="search" name="words" placeholder="frame, object or type"></label></form>'
         '<p class="soft"><a href="results.csv">results.csv</a> · <a href="results.jsonl">results.jsonl</a> · '
-        f'<span role="status"></span></p><p class="soft">Sizes are length × width × height in centimetres{ranges}.</p>'
+        '<span role="status"></span></p>'
+        f'<p class="soft">Sizes are length × width × height in centimetres{ranges}.{made}</p>'
         '<div class="scroll" tabindex="0" role="region" aria-label="frames"><table><thead><tr>'
         f'<th scope="col">depth and best scene</th>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
         f'<p class="soft">derender {__version__}</p>'
@@ -164,7 +169,7 @@ def _row(folder: Path, name: str, state: str, rows: Sequence[Mapping[str, Any]])
     picture = title = ""
     if state != "failed":
         picture = f'<img loading="lazy" src="{place}/{THUMBNAIL}" alt="depth and best scene of {shown}">'
-        page = "report.html" if (folder / name / "report.html").exists() else "summary.json"
+        page = "report.html" if (folder / name / "report.html").exists() else RESULT
         title = f'<a href="{place}/{page}">{shown}</a>'
     listed = "".join(f"<li>{_object(row)}</li>" for row in solids[:MOST_OBJECTS])
     count = "" if state == "failed" else str(len(solids))

@@ -255,6 +255,11 @@ def test_the_page_names_every_frame_and_escapes_it(tmp_path):
     assert [page.count(f'data-state="{state}"') for state in ("trusted", "doubtful", "failed")] == [1, 1, 1]
     marked = index_page(tmp_path, {"a\x1b[31m\u202e": [failed_row("a", "no pixel")]})
     assert "a\\x1b[31m\\u202e" in marked and not {"\x1b", "\u202e"} & set(marked)
+    assert "is made, in this folder, by <code>derender view &#x27;&lt;a&gt;/1&#x27;</code>" in page
+    for name in ("<a>/1", "odd"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "report.html").touch()
+    assert "is made" not in index_page(tmp_path, rows)  # each has its page
     sure = {"sure": rows_of("sure", summary(FLOOR, box() | {"probability": 0.9999}))}
     assert "p &gt;.99" in index_page(tmp_path, sure)  # as everywhere: no more than that is said
     quick = {"quick": rows_of("quick", summary(FLOOR, box(), method="map"))}
