@@ -51,11 +51,11 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         into = np.array(posterior.best_part.extras["into"])
         meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], case.frames, strict=True)]
     told = explanation_of(graph, observations, case.depth, case.camera)
-    for name, share in told.borne_out(case.depth).items():
-        if share < LEAST_FITTING:  # what is seen elsewhere, or is none
-            known, error = meta["existence"].get(name, (1.0, 0.0))
-            meta["existence"][name] = (share * known, error)
-    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"])))
+    elsewhere = {name: share for name, share in told.borne_out(case.depth).items() if share < LEAST_FITTING}
+    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], elsewhere)))
+    for name, share in elsewhere.items():
+        known, error = meta["existence"].get(name, (1.0, 0.0))
+        meta["existence"][name] = (share * known, error)
     if posterior.best_graph().names != graph.names:
         graph = posterior.best_graph()
         told = explanation_of(graph, observations, case.depth, case.camera)
@@ -74,7 +74,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
 
 
 def with_absences(
-    parts: "list[StructurePosterior]", existence: dict[str, tuple[float, float]]
+    parts: "list[StructurePosterior]", existence: dict[str, tuple[float, float]], elsewhere: dict[str, float]
 ) -> "list[StructurePosterior]":
     """Return the structures with all of their objects, and those in which some of them are none but clutter.
 
@@ -82,6 +82,8 @@ def with_absences(
     the likeliest choices are told, the one with most draws with all of them; what others hold is nobody's.
 
     existence : by name, (probability that it is an object, whatever else is one; standard error of that).
+    elsewhere : by name, how probably an object is one that is seen somewhere else than where it should be; if it is
+        not, something else is there, and the share is nobody's.
     """
     from derender.structures.free_forms import without_object
 
@@ -91,6 +93,7 @@ def with_absences(
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
         shares = [np.array([known, 1.0 - known]) for known, _ in doubted.values()]
         most = float(np.prod([share.max() for share in shares]))
+        as_told = float(np.prod([share for name, share in elsewhere.items() if name in part.graph.names]))
         for chosen, odds in likeliest(shares):
             absent = [name for name, choice in zip(doubted, chosen, strict=True) if choice]
             own = part.best_only() if absent else part
@@ -98,7 +101,7 @@ def with_absences(
                 own = without_object(own, name)
             told = [share[choice] for share, choice in zip(shares, chosen, strict=True)]
             errors = [error / max(p, error) for p, (_, error) in zip(told, doubted.values(), strict=True) if error]
-            own = own.scaled(odds * most, odds * most * float(np.linalg.norm(errors)))
+            own = own.scaled(as_told * odds * most, as_told * odds * most * float(np.linalg.norm(errors)))
             key: object = own.graph.structure() if absent else number
             if absent:
                 own = replace(own, extras={**own.extras, "absent": absent})

@@ -99,7 +99,8 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
             others, fewest = not case.options.only_known, (1, 1) if only_best else case.many
             under = partial(observed_under, observations=[seen], case=case)
             as_it_came = whole_image(seen, case.depth, case.camera)
-            return known_posterior(rng, seen.image, as_it_came, state, settings, seen.floor.pose, under, case.library,
+            coarse = settings._replace(reduced=seen.factor > 1)
+            return known_posterior(rng, seen.image, as_it_came, state, coarse, seen.floor.pose, under, case.library,
                                    others, *fewest)  # fmt: skip
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)

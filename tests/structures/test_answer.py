@@ -32,7 +32,7 @@ def part():
 
 
 def test_no_structure_is_likelier_than_its_objects(part):
-    parts = with_absences([part], CHANCE)
+    parts = with_absences([part], CHANCE, {})
     expected = {(a, b): 0.8 * (0.9 if a else 0.1) * (0.6 if b else 0.4) for a, b in product((True, False), repeat=2)}
     told = {("left" in each.graph.names, "right" in each.graph.names): each for each in parts}
     assert {key: each.weight for key, each in told.items()} == pytest.approx(expected)
@@ -46,7 +46,7 @@ def test_no_structure_is_likelier_than_its_objects(part):
 
 
 def test_what_bears_something_stays_and_so_do_the_draws_of_all(part):
-    parts = with_absences([part], CHANCE)
+    parts = with_absences([part], CHANCE, {})
     assert all("low" in each.graph.names and "top" in each.graph.names for each in parts)
     whole = parts[0]
     assert whole.graph == part.graph and whole.values.shape == part.values.shape
@@ -56,7 +56,7 @@ def test_what_bears_something_stays_and_so_do_the_draws_of_all(part):
 
 
 def test_an_error_of_existence_is_one_of_the_structure(part):
-    whole = with_absences([part], CHANCE)[0]
+    whole = with_absences([part], CHANCE, {})[0]
     relative = np.linalg.norm([0.02 / 0.8, 0.05 / 0.9, 0.1 / 0.6])
     assert whole.weight_error / whole.weight == pytest.approx(relative)
     assert whole.weight_interval[0] < whole.weight - 0.1 and whole.weight_interval[1] > whole.weight + 0.1
@@ -65,7 +65,7 @@ def test_an_error_of_existence_is_one_of_the_structure(part):
 def test_what_differs_in_clutter_alone_is_one_structure(part):
     sizes = {"length": 0.05, "width": 0.06, "height": 0.05}
     other = replace(part.scaled(0.25), graph=part.graph.replace("left", shape="box", parameters=sizes))
-    parts = with_absences([part, other], {"left": (0.75, 0.0)})
+    parts = with_absences([part, other], {"left": (0.75, 0.0)}, {})
     assert len(parts) == 3 and sum(each.weight for each in parts) == pytest.approx(1.0)
     assert min(parts, key=lambda each: len(each.graph.names)).weight == pytest.approx(0.25)
 
@@ -77,8 +77,14 @@ def test_of_many_things_the_likeliest_choices_are_told(part):
         graph = graph.add(replace(part.graph.vertex("left"), name=f"thing_{number}"))
         chance[f"thing_{number}"] = (0.9, 0.0)
     many = replace(part, graph=graph, weight=1.0)
-    parts = with_absences([many], chance)
+    parts = with_absences([many], chance, {})
     assert len(parts) == MOST_STRUCTURES and parts[0].weight == pytest.approx(0.9**16)
     pairs = MOST_STRUCTURES - 17
     assert sum(each.weight for each in parts) == pytest.approx(0.9**16 + 1.6 * 0.9**15 + 0.01 * pairs * 0.9**14)
     assert Posterior(tuple(parts), meta={"existence": chance}).object_probability("thing_3") == pytest.approx(0.9)
+
+
+def test_where_an_object_is_seen_elsewhere_something_else_is_there_and_not_nothing(part):
+    """A pallet of which a box explained a twelfth was told as nothing, P .92."""
+    (told,) = with_absences([part], {}, {"left": 0.08, "nobody": 0.5})
+    assert told.graph == part.graph and told.weight == pytest.approx(0.8 * 0.08)
