@@ -82,8 +82,13 @@ class Draws(NamedTuple):
         return self.coordinates[at], self.logarithms[at]
 
 
-def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Doubts | None = None) -> Path:
-    """Return a path nearer to the least squares: Levenberg-Marquardt, with the errors of each step's path."""
+def climb(
+    shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Doubts | None = None, held: bool = False
+) -> Path:
+    """Return a path nearer to the least squares: Levenberg-Marquardt, with the errors of each step's path.
+
+    held : whether the material stays as it is.
+    """
     damping = FIRST_DAMPING
     for _ in range(steps):
         errors = shooting.errors(path, scales, doubts)
@@ -93,7 +98,7 @@ def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Do
         hessian = jacobian.T @ jacobian + np.diag(roots**2)
         gradient = jacobian.T @ residual + roots * own
         before = 0.5 * float(residual @ residual + own @ own)
-        improved, untold = 0.0, np.flatnonzero(~shooting.tells(path))
+        improved, untold = 0.0, np.flatnonzero(~shooting.tells(path) | held)
         while damping < MOST_DAMPING:
             change = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
             change[shooting.size + untold] = 0.0  # the prior alone would move it, and the film with it
@@ -162,9 +167,11 @@ def learn_scales(
     return Scales(*np.exp(best)), value, np.maximum(curvature, prior.log_scales()[1] ** -2) ** -0.5
 
 
-def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Doubts | None = None) -> Mode:
-    """Climb, then learn the scales, how much each tracked pose counts, and what pushed what."""
-    path = climb(shooting, path, scales, steps, doubts)
+def find_mode(
+    shooting: Shooting, path: Path, scales: Scales, steps: int, doubts: Doubts | None = None, held: bool = False
+) -> Mode:
+    """Climb, then learn the scales, how much each tracked pose counts, and what pushed what; held : see `climb`."""
+    path = climb(shooting, path, scales, steps, doubts, held)
     derivatives = shooting.derivatives(path)
     scales, value, uncertain = learn_scales(shooting, path, derivatives, scales, doubts)
     errors = shooting.errors(path, scales, doubts)
@@ -206,10 +213,13 @@ def distance_of(shooting: Shooting, coordinates: np.ndarray) -> float:
 def find_modes(shooting: Shooting) -> list[Mode]:
     """Return modes from several starts, the best first; those far below it are left out.
 
-    The best goes on with lost poses counted as what they are, which is another density: starts are compared without.
+    Starts climb with the material as it is: while first velocities are poor, another friction would make up for them,
+    and a box that stuck on its edge would be taken for one that slid. The best goes on with lost poses counted as what
+    they are, which is another density: starts are compared without.
     """
     coarse = shooting.coarser()
-    found = [find_mode(coarse, coarse.first_path(start), FIRST, SHORT) for start in first_coordinates(coarse)]
+    starts = (coarse.first_path(each) for each in first_coordinates(coarse))
+    found = [find_mode(coarse, start, FIRST, SHORT, held=True) for start in starts]
     found.sort(key=lambda mode: -mode.log_marginal)
     best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].doubts)
     return [best, *(mode for mode in found[1:] if mode.log_marginal > found[0].log_marginal - CLOSE)]

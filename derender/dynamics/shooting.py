@@ -43,6 +43,8 @@ LEAST_POSITION, LEAST_ROTATION = 2e-4, 2e-3
 LOST = 22.5
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
 RESTS = 0.02
+# What slides tells friction by how it is slowed over so many frames: in fewer, when it begins or stops is as unknown.
+SLID = 3
 # Where nothing moved by more than this from one frame to the next, and nothing is faster, all stays as it is: metres
 # and m / s (turns by the size). What begins to slide at a hundredth of gravity is faster after one frame.
 STAYS, STAYS_SPEED = 1e-5, 1e-3
@@ -185,10 +187,14 @@ class Shooting(Impacts):
         return np.array([True, bounces, bounces, *met[1:]])
 
     def slides(self, path: Path) -> bool:
-        """Return whether something slides for a frame: what sticks where it lands, or rolls, only says that friction is
-        great enough, and what it seems to tell is how corners rattle."""
+        """Return whether a body slides for long enough to tell friction.
+
+        What sticks where it lands, or rolls, only says that it is great enough, and what it seems to tell is how
+        corners rattle; so does what tumbles over its edge, which slips for a moment.
+        """
         friction = self.parameters.material(path.coordinates).friction
-        return self.apart or bool(self.engine.slides(path.states[:-1], path.arrived[1:], friction).any())
+        slides = self.engine.slides(path.states[:-1], path.arrived[1:], friction)
+        return bool((slides.sum(axis=0) >= SLID).any())
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""
