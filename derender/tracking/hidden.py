@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from derender.posterior.sampler import next_temperature
 from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.pose import moved, rotation_vector
 
@@ -20,6 +21,9 @@ HANDS, FILMS = 2, 14  # motions of a hand, and of the engine
 CARRIED = 0.2  # probability of a hand: most of what is in the air falls
 COARSER = 8.0  # times the steps that tell of materials: a fall need not be exact
 LONGEST = 0.6  # seconds: what falls from two metres rests or goes on as it did
+ENTERED = 0.002  # metres: a hand carries nothing deeper into something than a tracked pose may be there by its errors
+# Of so few motions none is where the thing is, and all are hundreds of nats below it: at least so many are believed.
+BELIEVED = 3.0
 
 
 class Hidden(NamedTuple):
@@ -32,8 +36,9 @@ class Hidden(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """(K,) probabilities."""
-        weights = np.exp(self.costs.min() - self.costs)
+        """(K,) probabilities, raised to the greatest power up to 1 at which BELIEVED motions count."""
+        power = next_temperature(-self.costs, 0.0, BELIEVED / len(self.costs))
+        weights = np.exp(power * (self.costs.min() - self.costs))
         return weights / weights.sum()
 
     @property
@@ -79,7 +84,7 @@ def last_seen(tracker: "Tracker", k: int) -> Hidden:
     engine = Engine(Matter(tuple(bodies), tracker.gravity, ()), (thing.name,), tracker.step, COARSER)
     speed, count = np.concatenate([thing.velocity, thing.spin]), int(np.ceil(LONGEST / tracker.step)) + 1
     paths = np.tile(thing.pose, (HANDS + FILMS, count, 1, 1))
-    paths[1] = [moved(thing.pose, speed * tracker.step * t) for t in range(count)]
+    paths[1] = carried(thing.pose, speed * tracker.step, count, bodies, thing.name)
     spread = thing.covariance[:6, :6]
     for n in range(HANDS, len(paths)):
         off, faster = rng.multivariate_normal(np.zeros(6), spread, 2) * (n > HANDS)
@@ -97,6 +102,21 @@ def last_seen(tracker: "Tracker", k: int) -> Hidden:
             paths[n] = paths[1]
     costs = np.repeat([-np.log(CARRIED / HANDS), -np.log((1 - CARRIED) / FILMS)], [HANDS, FILMS])
     return Hidden(paths, costs, spread.copy())
+
+
+def carried(pose: np.ndarray, step: np.ndarray, count: int, bodies: list, name: str) -> list[np.ndarray]:
+    """Return the poses (4, 4) in so many frames of a body that is moved by `step` (6,) in each, and stops before it
+    enters another one."""
+    body = next(each for each in bodies if each.name == name)
+
+    def gap(pose: np.ndarray) -> float:
+        others = (other for other in bodies if other.name != name)
+        return min((body._replace(pose=pose).gap(other) for other in others), default=np.inf)
+
+    least, found = min(gap(pose), 0.0) - ENTERED, [pose]
+    while len(found) < count and gap(ahead := moved(pose, step * len(found))) > least:
+        found.append(ahead)
+    return found + [found[-1]] * (count - len(found))
 
 
 def one_frame_later(hidden: Hidden, tracker: "Tracker", k: int) -> Hidden:

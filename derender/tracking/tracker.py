@@ -403,9 +403,10 @@ class Tracker(Drawing):
                 continue
             index = self.planes + k
             drawn = self.poses[index].copy()
-            for pose in shifts_to(self, blobs, None, self.view @ thing.pose):
+            ways = [thing.pose] if thing.hidden is None else thing.hidden.now  # it has turned while nothing showed it
+            starts = [each for way in ways for each in shifts_to(self, blobs, None, self.view @ way)]
+            for start in self._ranked(k, [inverse(self.view) @ pose for pose in starts])[:SEARCHED]:
                 before = thing.pose.copy()
-                start = inverse(self.view) @ pose
                 self.draw(k, start)
                 loose = np.linalg.inv(thing.covariance)
                 loose[:6] = loose[:, :6] = 0.0

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
+from derender.physics.bodies import Body
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, rotation_angle
 from derender.tracking import fit
+from derender.tracking.hidden import Hidden, blobs_of, carried
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of
 from derender.tracking.track import Recorder
@@ -178,6 +180,37 @@ def test_what_falls_behind_something_is_expected_on_the_floor():
     off = track.poses[-1, 1, :3, 3] - poses[-1, 1, :3, 3]
     assert abs(off @ films.view()[:3, 2]) < 0.02 and np.linalg.norm(off) < 0.07
     assert (np.abs(off) < 3 * np.sqrt(np.diag(track.covariances[-1, 1])[:3])).all()
+
+
+def test_what_a_hand_carries_on_stops_at_what_it_would_enter():
+    """A box that fell behind another was sure to be 29 cm below the floor, where nothing showed it."""
+    box = Body("box", "box", np.full(3, 0.06), at(0, 0, 0.05))
+    bodies = [Body("floor", "plane", np.zeros(3), np.eye(4)), box]
+    path = carried(box.pose, np.array([0.01, 0, -0.008, 0, 0, 0]), 6, bodies, "box")
+    places = [[0, 0, 50], [10, 0, 42], [20, 0, 34]]
+    np.testing.assert_allclose([1e3 * pose[:3, 3] for pose in path], places + [places[-1]] * 3, atol=1e-6)
+
+
+def test_the_motion_that_fits_best_of_a_few_is_not_the_only_one_that_is_believed():
+    paths = np.tile([at(0.1 * n, 0, 0) for n in range(16)], (1, 1, 1, 1)).swapaxes(0, 1)
+    sure = Hidden(paths, 500.0 * np.arange(16), 1e-6 * np.eye(6))
+    assert 1 / np.sum(sure.weights**2) > 2.9 and np.sqrt(sure.covariance()[0, 0]) > 0.05
+    unsure = Hidden(paths, 0.1 * np.arange(16), 1e-6 * np.eye(6))
+    np.testing.assert_allclose(unsure.weights, np.exp(-unsure.costs) / np.exp(-unsure.costs).sum())
+
+
+def test_what_comes_back_may_have_rolled_over_as_a_motion_of_it_did():
+    size, rolled = [0.05, 0.06, 0.14], at(0.08, 0, 0.03, (0.5 * np.pi, 0, 0))
+    frames, poses = film(np.random.default_rng(3), ["box"], [size], [[at(-0.06, 0, 0.07)], [rolled]])
+    tracker = Tracker(CAMERA, start(["box"], [size], poses[0]), frames[0], GRAVITY, 1 / FPS)
+    thing, over = tracker.things[0], poses[0, 0] @ at(0, 0, 0, (0.5 * np.pi, 0, 0))
+    thing.state, thing.hidden = "hidden", Hidden(np.array([[poses[0, 0]], [over]]), np.zeros(2), 1e-6 * np.eye(6))
+    thing.pose[2, 3] = -1.0  # not drawn
+    tracker.see(frames[1])
+    tracker.place()
+    cost(tracker.misfit, tracker.poses, tracker.sizes)
+    tracker._find_again(blobs_of(tracker))
+    assert thing.state == "moving" and np.linalg.norm(thing.pose[:3, 3] - poses[1, 0, :3, 3]) < 0.005
 
 
 def test_a_box_that_is_found_rolled_by_a_quarter_is_as_it_was_before():
