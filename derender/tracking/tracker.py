@@ -15,7 +15,7 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import from_rotation_vector, inverse, moved, rotation_vector
 from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
-from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
+from derender.tracking.drawing import EXCESS, FEW, OFF, ROUNDS, TOLERANCE, USUAL_OFF, Drawing
 from derender.tracking.hidden import Blob, blobs_of, last_seen, one_frame_later, shifts_to
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
 
@@ -83,6 +83,7 @@ class Tracker(Drawing):
         self.gravity, self.step = np.asarray(gravity, float), float(step)
         self.drift = np.eye(4)  # the camera's last motion, and its covariance: (6, 6) of a shift and a turn, its axes
         self.woken: list[int] = []  # resting things that have begun to move, where the camera moves
+        self.usually_off = np.inf  # share of the pixels of the floor and of what rests
         self.price_of_motion = 0.0  # of the camera then, in nats, see Viewpoint
         self.drift_spread = np.diag(np.repeat(CAMERA_SPEED, 3) * step) ** 2
         self._refine_first()
@@ -94,6 +95,7 @@ class Tracker(Drawing):
             self.see(depth)
         for k in range(len(self.things)):
             self.take_as_usual(k)
+        self._take_off_as_usual()
 
     # ---- one thing ------------------------------------------------------------------------------------------------
 
@@ -314,6 +316,7 @@ class Tracker(Drawing):
         self.view, self.woken, self.price_of_motion = best.view, best.woken, best.price
         self.place()
         cost(self.misfit, self.poses, self.sizes)
+        self._take_off_as_usual()
 
     def _camera_by(self, resting: list[int]) -> "Viewpoint":
         """Return where the camera is by the floor, its own last motion and these things, which rest."""
@@ -331,13 +334,20 @@ class Tracker(Drawing):
         precision = np.linalg.inv(self.drift_spread + changes)
         information = about.T @ precision @ about
         curvature, begun = information.copy(), frame.copy()
-        for loose in (True, False):
+
+        def fit(loose: bool) -> None:
             self.loosen(loose)
-            _, taken = fitting.fit(
+            self.rounds += fitting.fit(
                 self.misfit, self.poses, self.sizes, members, frame, begun, 0, np.zeros(3), np.zeros((0, 3)),
                 information, self.start.temper, ROUNDS, TOLERANCE, curvature,
-            )  # fmt: skip
-            self.rounds += taken
+            )[1]  # fmt: skip
+
+        fit(False)
+        if self._off_more(members):  # outlines may be off by several pixels
+            frame[:] = begun
+            self.place()
+            fit(True)
+            fit(False)
         self.view = frame @ inverse(middle)
         self.place()
         jump = self.view @ inverse(expected)
@@ -346,6 +356,20 @@ class Tracker(Drawing):
         price += 0.5 * float(off @ precision @ off) + narrowed(information, curvature)
         view, self.view = self.view, kept
         return Viewpoint(view, about @ np.linalg.inv(curvature) @ about.T, image + price, woken, price)
+
+    def _take_off_as_usual(self) -> None:
+        """Take the share of the pixels of the floor and of what rests that are off as the usual one, or near it."""
+        rests = [True] * self.planes + [thing.state == STILL for thing in self.things]
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        share = float(self.counts[rests, 2:].sum() / max(self.counts[rests, 1].sum(), 1.0))
+        self.usually_off = min(share, MORE_THAN_BEFORE * max(self.usually_off, USUAL_OFF))
+
+    def _off_more(self, members: np.ndarray) -> bool:
+        """Return whether more of the pixels of some solids (N,) are off than when the camera was found last."""
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        shown, off = self.counts[members, 1].sum(), self.counts[members, 2:].sum()
+        usually = self.usually_off * shown
+        return bool(off > usually + EXCESS[0] * np.sqrt(usually + 1.0))
 
     def _freed(self) -> tuple[float, float, list[int]]:
         """Fit what moves, then what rests where the image says that it does so no more; return the nats of the image,

@@ -247,6 +247,24 @@ def test_a_camera_that_moves_is_told_from_things_that_do(count, seed):
     assert track.states[-1][1] == "moving" and track.states[-1][2:] == ["still"] * (count - 2)
 
 
+@pytest.mark.parametrize("jump, loosened", [(0.0, False), (0.02, True)])
+def test_outlines_that_are_far_off_lead_to_a_camera_only_where_the_image_is_not_explained_without(jump, loosened):
+    """The loose fit came first in each frame, and cost a third of it."""
+    views = [films.view() @ at(0.004 * t + jump * (t > 2), 0, 0) for t in range(5)]
+    frames, poses = film(np.random.default_rng(0), ["box", "box"], [BOX_A, BOX_B],
+                         [[at(-0.06, 0, 0.035), at(0.06, 0.05, 0.025)]] * 5, views)  # fmt: skip
+    first, asked = start(["box", "box"], [BOX_A, BOX_B], poses[0])._replace(floor=views[0]), []
+    recorder = Recorder(frames[0], CAMERA, first, GRAVITY, 1 / FPS, True)
+    recorder.advance(frames[1])  # it sets out
+    recorder.advance(frames[2])
+    loosen = recorder.tracker.loosen
+    recorder.tracker.loosen = lambda loose: (asked.append(loose), loosen(loose))
+    recorder.advance(frames[3])
+    assert (True in asked) == loosened
+    off = (inverse(recorder.tracker.view) - inverse(films.still_view_of(views)[3]))[:3, 3]
+    assert np.linalg.norm(off) < 0.01
+
+
 def test_a_cameras_path_begins_at_the_first_frame_whichever_frame_anchors_it():
     views = [films.view() @ at(0.006 * t, 0, 0) for t in range(6)]
     paths = [[at(-0.06, 0, 0.035), at(0.06, 0.05, 0.025)]] * 6
