@@ -18,6 +18,7 @@ CASES = [
     ("gaussian", {"blur": 0.0}),
     ("gaussian", {"blur": 3.0}),
     ("robust", {"blur": 0.6}),
+    ("robust", {"blur": 0.6, "missing": 0.1, "missing_edge": 0.1}),
     ("robust", {"blur": 2.0, "sigma_growth": 0.002}),
     ("robust", {"blur": 0.3, "sigma_growth": 0.002, "missing": 0.1, "missing_edge": 0.1}),
     ("correlated", {"blur": 0.6, "sigma_growth": 0.002, "outlier": 0.05}),
@@ -60,6 +61,20 @@ def test_the_engine_equals_the_readable_likelihood(likelihood, values):
         assert wrong.sum() <= (0 if likelihood == "gaussian" else 2)
         if not wrong.any():
             assert value == pytest.approx(expected.sum(), abs=np.sqrt(np.sum(allowed**2)))
+
+
+@pytest.mark.parametrize("outlier", [1e-30, 1e-4, 0.1, 0.9])
+def test_noise_that_is_the_same_everywhere_is_scored_to_rounding(outlier):
+    values = {"sigma": 0.01, "blur": 0.0, "missing": 0.1, "missing_edge": 0.1, "outlier": outlier, "far": 3.0}
+    off = 0.01 * np.linspace(-12.0, 12.0, 4096)  # from surfaces through where outliers take over to outliers alone
+    observed = 1.0 + np.concatenate([off, np.full(60, np.nan), np.full(60, 4.0)]).reshape(62, 68)
+    observed[5] *= -1.0  # what may be hidden
+    observed = observed.astype(np.float32).astype(float)
+    depth = np.ones(observed.shape)
+    scores = DepthEvaluator.of_depth(observed, depth, "robust", values)
+    scores.set_values({})
+    expected = likelihoods["robust"].per_pixel(observed, depth, values)
+    assert scores.per_pixel() == pytest.approx(expected, abs=2e-5)  # some roundings of up to 12^2 / 2 to float32
 
 
 def test_clean_depth_is_within_a_hundredth_of_a_millimetre():

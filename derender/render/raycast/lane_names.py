@@ -11,8 +11,8 @@ load, store, splat, steps_from, where_at_least, zero_sum, accumulate, sum_lanes 
 add, subtract, multiply, divide, maximum, minimum, multiply_add = late(
     "derender.render.raycast.lanes", "add", "subtract", "multiply", "divide", "maximum", "minimum", "multiply_add"
 )
-reciprocal, square_root, absolute, exponential, logarithm = late(
-    "derender.render.raycast.lanes", "reciprocal", "square_root", "absolute", "exponential", "logarithm"
+reciprocal, square_root, absolute, exponential, logarithm, log_of_sum = late(
+    "derender.render.raycast.lanes", "reciprocal", "square_root", "absolute", "exponential", "logarithm", "log_of_sum"
 )
 new_window, push, blur_window, blur_along_row = late(
     "derender.render.raycast.lanes", "new_window", "push", "blur_window", "blur_along_row"

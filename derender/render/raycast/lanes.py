@@ -224,6 +224,10 @@ def absolute(builder, a):
 @_emitted(float_lanes)
 def exponential(builder, x):
     """e^x for x <= 0, relative error 1e-7; e^-87 below -87."""
+    return _exponential(builder, x)
+
+
+def _exponential(builder, x):
     least = _constant(-87.0)
     x = builder.select(builder.fcmp_ordered(">", x, least), x, least)
     n = _call(builder, "rint", builder.fmul(x, _constant(1.4426950408889634)))
@@ -255,6 +259,18 @@ def logarithm(builder, x):
     y = _multiply_add(builder, exponent, _constant(-2.12194440e-4), y)
     y = _multiply_add(builder, square, _constant(-0.5), y)
     return _multiply_add(builder, exponent, _constant(0.693359375), builder.fadd(y, m))
+
+
+@_emitted(float_lanes, float_lanes)
+def log_of_sum(builder, a, b):
+    """log(e^a + e^b), absolute error 2e-7 beside that of the greater."""
+    larger = builder.select(builder.fcmp_ordered(">", a, b), a, b)
+    e = _exponential(builder, builder.fneg(_call(builder, "fabs", builder.fsub(a, b))))
+    p = _constant(-6.4526113070e-3)  # log(1 + e) / e for e from 0 to 1, the greatest error of log(1 + e) least
+    for term in (3.6084514068e-2, -9.5322480205e-2, 1.6764784363e-1, -2.4073074841e-1, 3.3179825164e-1,
+                 -4.9987404449e-1, 9.9999642353e-1):  # fmt: skip
+        p = _multiply_add(builder, p, e, _constant(term))
+    return _multiply_add(builder, p, e, larger)
 
 
 class _WindowType(types.Type):
