@@ -125,8 +125,8 @@ def test_added_misfit_is_the_difference_of_whole_images(blur):
         change = added_misfit(image, rows[0], depth, misfit)
         draw(image, rows, -1, depth, label)
         after = misfit_map(image, depth, np.empty((60, 80)))
-        # sums of up to 4,800 terms of at most 8 in float64
-        assert change == pytest.approx(after - before, abs=1e-9)
+        # sums of up to 4,800 terms of at most 8 in float64, or in float32 where each is a part in a million off
+        assert change == pytest.approx(after - before, abs=1e-9 if blur else 1e-4)
 
 
 def two_boxes(rng, sigma, started):

@@ -7,8 +7,23 @@ outlier, up to a constant, without the exponentials (Bolles and Fischler's score
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.image import drawn_alone
+from derender.detection.solids.image import drawn_alone, prepared_row
 from derender.render.blur import blur_into
+from derender.render.raycast.lane_names import (
+    LANES,
+    accumulate,
+    load,
+    load_rounded,
+    minimum,
+    multiply,
+    reciprocal,
+    splat,
+    subtract,
+    sum_lanes,
+    where_at_least,
+    zero_sum,
+)
+from derender.render.raycast.region import fill, raise_solid
 
 LIMIT = 8.0
 AS_SEEN = 1e-8  # metres
@@ -31,19 +46,75 @@ def misfit_map(image, depth, out):
         blur_into(image.taps, np.minimum(depth, WALL), 0, width, 0, height, blurred)
     total = 0.0
     for j in range(height):
-        for i in range(width):
-            r = residual(image.depth[j, i], depth[j, i], blurred[j, i])
-            m = min(r * r * image.weight[j, i], LIMIT)
-            out[j, i] = m
-            total += m
+        total += misfit_of_row(image.depth[j], image.weight[j], depth[j], blurred[j], out[j])
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc"}, borrows=True)
+def misfit_of_row(seen, weight, drawn, blurred, out):
+    """Write the misfit of pixels (n,) and return its sum."""
+    total = 0.0
+    for n in range(seen.size):
+        r = residual(seen[n], drawn[n], blurred[n])
+        m = min(r * r * weight[n], LIMIT)
+        out[n] = m
+        total += m
     return total
 
 
 @njit(cache=True, nogil=True)
 def added_misfit(image, row, depth, misfit):
     """Return how the misfit changes when the solid `row` is added to a scene with this depth and misfit map."""
-    rectangle, drawn = drawn_alone(image, row)
-    return change_by(image, rectangle, drawn, depth, misfit)
+    return added_misfit_by(image, row, depth, misfit, new_canvas(image))
+
+
+@njit(cache=True, nogil=True)
+def new_canvas(image):
+    """Return (H, P) float32 to draw a solid into, lanes beside the image included; of no use where that is blurred."""
+    height, width = image.depth.shape
+    return np.empty((height, width + 2 * LANES), np.float32)
+
+
+@njit(cache=True, nogil=True)
+def added_misfit_by(image, row, depth, misfit, canvas):
+    """As `added_misfit`; canvas : see `new_canvas`, what is in it does not matter."""
+    if image.taps.size > 1:
+        rectangle, drawn = drawn_alone(image, row)
+        return change_by(image, rectangle, drawn, depth, misfit)
+    prepared, rectangle = prepared_row(image, row)
+    left, right, top, bottom = rectangle
+    if left >= right:
+        return 0.0
+    fill(canvas, left, right, top, bottom, 0, np.float32(0))
+    raise_solid(canvas, left, right, top, bottom, 0, prepared, (left + right) // 2)
+    return change_in_lanes(image.depth, image.weight, depth, misfit, canvas, left, right, top, bottom)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
+def change_in_lanes(seen, weight, depth, misfit, drawn, left, right, top, bottom):
+    """As `change_of_row` of all rows of a rectangle; drawn : (H, P) float32."""
+    width, total, rest = seen.shape[1], zero_sum(), 0.0
+    limit, none = splat(np.float32(LIMIT)), splat(np.float32(0))
+    least = splat(np.float32(1e-30))
+    for row in range(top, bottom):
+        column = left
+        while column < right and column + LANES <= width:
+            z = reciprocal(load(drawn, row, column))  # NaN where nothing is drawn
+            weights = load_rounded(weight, row, column)
+            r = subtract(load_rounded(seen, row, column), z)
+            change = subtract(minimum(multiply(multiply(r, r), weights), limit), load_rounded(misfit, row, column))
+            nearer = subtract(load_rounded(depth, row, column), z)
+            change = where_at_least(nearer, least, change, none)
+            total = accumulate(total, where_at_least(weights, least, change, none))
+            column += LANES
+        while column < right:  # the image ends
+            if drawn[row, column] > 0.0:
+                z = 1.0 / drawn[row, column]
+                r = seen[row, column] - z
+                if z < depth[row, column] and weight[row, column] > 0.0:
+                    rest += min(r * r * weight[row, column], LIMIT) - misfit[row, column]
+            column += 1
+    return sum_lanes(total) + rest
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.solids.interpenetration import highest, lowest, penetration_beyond
-from derender.detection.solids.misfit import added_misfit
+from derender.detection.solids.misfit import added_misfit_by, new_canvas
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 TYPICAL_SIZE, SIZE_SPREAD = 0.09, 0.6
@@ -194,7 +194,8 @@ def polish(rng, image, start, form, cube, others, skip, depth, misfit, bottom, c
     first_step : metres of the first steps; heat : temperature at the start, falling to zero (0: only downhill).
     """
     row = start.copy()
-    change = added_misfit(image, row, depth, misfit)
+    canvas = new_canvas(image)
+    change = added_misfit_by(image, row, depth, misfit, canvas)
     energy = change + temper * size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
     energy += temper * tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
@@ -209,7 +210,7 @@ def polish(rng, image, start, form, cube, others, skip, depth, misfit, bottom, c
         if rest - (energy - change) > 100.0:
             scale[move] = max(scale[move] * 0.93, 5e-5)
             continue
-        new_change = added_misfit(image, trial, depth, misfit)
+        new_change = added_misfit_by(image, trial, depth, misfit, canvas)
         new = new_change + rest
         temperature = heat * (1.0 - k / rounds)
         if new < energy or (temperature > 0 and rng.random() < np.exp((energy - new) / temperature)):

@@ -4,9 +4,9 @@ from derender.compilation.cache import late
 
 LANES = 16
 
-load, store, splat, steps_from, where_at_least, zero_sum, accumulate, sum_lanes = late(
-    "derender.render.raycast.lanes", "load", "store", "splat", "steps_from", "where_at_least", "zero_sum", "accumulate",
-    "sum_lanes",
+load, load_rounded, store, splat, steps_from, where_at_least, zero_sum, accumulate, sum_lanes = late(
+    "derender.render.raycast.lanes", "load", "load_rounded", "store", "splat", "steps_from", "where_at_least",
+    "zero_sum", "accumulate", "sum_lanes",
 )  # fmt: skip
 add, subtract, multiply, divide, maximum, minimum, multiply_add = late(
     "derender.render.raycast.lanes", "add", "subtract", "multiply", "divide", "maximum", "minimum", "multiply_add"

@@ -71,12 +71,13 @@ def _multiply_add(builder, a, b, c):
 
 
 def _address(context, builder, array_type, array, row, column):
-    """Pointer to element (row, column) of a C-contiguous 2-D float32 array."""
+    """Pointer to element (row, column) of a C-contiguous 2-D array of float32 or float64."""
     struct = context.make_array(array_type)(context, builder, array)
     stride = builder.extract_value(struct.strides, 0)
-    offset = builder.add(builder.mul(row, stride), builder.shl(column, ir.Constant(column.type, 2)))
+    bits, kind = (2, FLOATS) if array_type.dtype == types.float32 else (3, DOUBLES)
+    offset = builder.add(builder.mul(row, stride), builder.shl(column, ir.Constant(column.type, bits)))
     data = builder.bitcast(struct.data, ir.IntType(8).as_pointer())
-    return builder.bitcast(builder.gep(data, [offset]), FLOATS.as_pointer())
+    return builder.bitcast(builder.gep(data, [offset]), kind.as_pointer())
 
 
 def _load(builder, pointer):
@@ -90,8 +91,8 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, numba_type, _MODELS[numba_type.name])
 
 
-def _check(array: Any) -> Any:
-    return isinstance(array, types.Array) and array.ndim == 2 and array.dtype == types.float32 and array.layout == "C"
+def _check(array: Any, dtype: Any = types.float32) -> Any:
+    return isinstance(array, types.Array) and array.ndim == 2 and array.dtype == dtype and array.layout == "C"
 
 
 def _emitted(*kinds: Any, gives: Any = float_lanes) -> Callable:
@@ -115,6 +116,19 @@ def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
 
     def generate(context, builder, signature, arguments):
         return _load(builder, _address(context, builder, signature.args[0], *arguments))
+
+    return float_lanes(array, types.int64, types.int64), generate
+
+
+@intrinsic
+def load_rounded(typing: Any, array: Any, row: Any, column: Any) -> Any:
+    """Sixteen elements of a 2-D float64 array from (row, column) on, rounded to float32. No bounds are checked."""
+    if not _check(array, types.float64):
+        return None
+
+    def generate(context, builder, signature, arguments):
+        pointer = _address(context, builder, signature.args[0], *arguments)
+        return builder.fptrunc(builder.load(pointer, align=8), FLOATS)
 
     return float_lanes(array, types.int64, types.int64), generate
 
