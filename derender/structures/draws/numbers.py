@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from derender.compilation.cache import address_of, call_for_two_numbers, njit
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image
 from derender.detection.solids.graph import turns_freely
 from derender.detection.solids.image import ROW, make_row
@@ -29,29 +30,44 @@ def contact_numbers(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what each draw (D,) of (n, D) means as contacts.
 
-    Only the inverse itself is compiled: the loop around it would cost seconds to compile and saves milliseconds.
-
     parents : (N,) int64: index of a solid, FLOOR (-1) or NO_PARENT. codes : (N, 3) int64: contact, parent's face,
         child's face.
 
     Returns phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64.
     """
     count, total = len(chart.flags), len(draws)
-    rows, extents = np.empty((count, ROW)), np.empty((count + 1, 3))
-    phi, sizes, poses = np.zeros((total, count, SLOTS)), np.empty((total, count, 3)), np.empty((total, count + 1, 4, 4))
-    nothing = np.zeros(3)
-    kinds = [int(kind) for kind in chart.flags[:, KIND]]
-    for n in range(total):
+    phi, sizes = np.zeros((total, count, SLOTS)), np.zeros((total, 1 + count, 3))
+    poses, kinds = np.empty((total, 1 + count, 4, 4)), np.array([PLANE, *chart.flags[:, KIND]], np.int64)
+    code, size, numbers = np.int64(0), np.empty(3), np.empty(SLOTS)
+    at = address_of(invert, code, code, size, code, size, code, code, np.empty((4, 4)), numbers)
+    write_contacts(chart, draws, np.maximum(parents, FLOOR) + 1, codes, kinds, at, phi, sizes, poses)
+    return phi, sizes[:, 1:], poses[:, 0]
+
+
+@njit(cache=True, nogil=True)
+def write_contacts(chart, draws, parents, codes, kinds, inverse_at, phi, sizes, poses):
+    """Write what each draw (D,) of (n, D) means as contacts, see `contact_numbers`; the floor is solid 0 of 1 + N.
+
+    parents : (N,) int64. kinds : (1 + N,) int64. inverse_at : the address of `invert`. sizes : of zeros.
+    """
+    count = len(kinds) - 1
+    rows, extents, relative = np.empty((count, ROW)), np.empty((count + 1, 3)), np.zeros((4, 4))
+    relative[3, 3] = 1.0
+    for n in range(len(draws)):
         place_rows(chart, draws[n], rows)
         camera_poses(chart, draws[n], rows, poses[n], extents)
-        sizes[n] = extents[1:]
-    relative = np.linalg.inv(poses)[:, np.maximum(parents, FLOOR) + 1] @ poses[:, 1:]
-    for n in range(total):
-        for k, parent in enumerate(parents):
-            kind, size = (kinds[parent], sizes[n, parent]) if parent >= 0 else (PLANE, nothing)
-            invert(codes[k, 0], kind, size, kinds[k], sizes[n, k], codes[k, 1], codes[k, 2], relative[n, k], phi[n, k])
-    root = poses[:, 0]
-    return phi, sizes, root
+        for k in range(1, count + 1):
+            for i in range(3):
+                sizes[n, k, i] = extents[k, i]
+        for k in range(count):
+            on, own = poses[n, parents[k]], poses[n, k + 1]
+            for i in range(3):
+                for j in range(4):
+                    shift = (own[0, 3] - on[0, 3], own[1, 3] - on[1, 3], own[2, 3] - on[2, 3])
+                    x, y, z = shift if j == 3 else (own[0, j], own[1, j], own[2, j])
+                    relative[i, j] = on[0, i] * x + on[1, i] * y + on[2, i] * z
+            call_for_two_numbers(inverse_at, codes[k, 0], kinds[parents[k]], sizes[n, parents[k]], kinds[k + 1],
+                                 sizes[n, k + 1], codes[k, 1], codes[k, 2], relative, phi[n, k])  # fmt: skip
 
 
 def numbers_of_draws(chart, draws, graph, names):
