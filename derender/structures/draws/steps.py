@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import njit
 from derender.scene.solids import SPHERE
 from derender.structures.draws.chart import FLOOR_WAYS, HELD, KIND, PARENT, SIZE, TURN, VERTICAL, Chart, X, Z
 
@@ -97,18 +98,34 @@ def touched_by(chart: Chart, members: list[int]) -> Any:
 
 def touched_by_each(chart: Chart, moves: np.ndarray) -> np.ndarray:
     """Return (V, 1 + N) bool: which of the floor and the solids move with each column of moves (D, V)."""
-    rounding = ROUNDING * np.abs(moves).max(axis=0, initial=0.0)
-    moves = np.where(np.abs(moves) < rounding, 0.0, moves)
-    tops = np.zeros((len(chart.flags) + 1, moves.shape[1]))  # of the floor, which stays, and of each solid
-    touched = np.zeros(tops.shape, bool)
-    for k in chart.order:
-        own, held = moves[chart.slots[k][chart.slots[k] >= 0]], chart.flags[k, HELD]
-        lifted = tops[chart.flags[k, PARENT] + 1] * held
-        touched[k + 1] = own.any(axis=0) | (lifted != 0.0)
-        top = lifted + moves[chart.slots[k, SIZE + 2]] if held else np.abs(own).sum(axis=0)
-        tops[k + 1] = np.where(np.abs(top) < rounding, 0.0, top)
-    touched[:, moves[-FLOOR_WAYS:].any(axis=0)] = True
-    return touched.T
+    touched = np.zeros((moves.shape[1], 1 + len(chart.flags)), bool)
+    write_touched(chart.flags, chart.slots, chart.order, np.ascontiguousarray(moves.T, float), touched)
+    return touched
+
+
+@njit(cache=True, nogil=True)
+def write_touched(flags, slots, order, moves, touched):
+    """As `touched_by_each`, into `touched` (V, 1 + N), of False; moves : (V, D)."""
+    tops = np.zeros(len(flags) + 1)  # how far the top of the floor, which stays, and of each solid is lifted
+    for n in range(len(moves)):
+        move, largest = moves[n], 0.0
+        for value in move:
+            largest = max(largest, abs(value))
+        rounding = ROUNDING * largest
+        for k in order:
+            total = 0.0
+            for slot in slots[k]:
+                if slot >= 0 and abs(move[slot]) >= rounding:
+                    total += abs(move[slot])
+            lifted = tops[flags[k, PARENT] + 1] if flags[k, HELD] else 0.0
+            touched[n, k + 1] = total != 0.0 or lifted != 0.0
+            if flags[k, HELD]:
+                own = move[slots[k, SIZE + 2]]
+                total = lifted + (own if abs(own) >= rounding else 0.0)
+            tops[k + 1] = total if abs(total) >= rounding else 0.0
+        for way in range(len(move) - FLOOR_WAYS, len(move)):
+            if move[way] != 0.0 and abs(move[way]) >= rounding:
+                touched[n, :] = True
 
 
 def own_members(chart: Chart, k: int) -> list[int]:
