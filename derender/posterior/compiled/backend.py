@@ -25,10 +25,10 @@ from derender.posterior.compiled.model import (
     places_seen,
     taken_elsewhere,
 )
-from derender.posterior.compiled.prior import NEXT, NOW, Chain, Kernels, Model, Target
+from derender.posterior.compiled.prior import NEXT, NOW, Chain, Kernels, Model, Target, log_prior
 from derender.posterior.kernels.base import PLACING, Part, Tuning, kernels, steps_of
 from derender.posterior.target import SceneTarget
-from derender.sampling.metropolis import DENSITY, PRIOR, Stretch, walk
+from derender.sampling.metropolis import DENSITY, PRIOR, Steps, Stretch, walk
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
 
@@ -43,6 +43,7 @@ class _Programmed:
     def __init__(self, target: Any, parts: list[Part], elsewhere: frozenset[int], calls: list[Calls]) -> None:
         self.target, self.parts, self._elsewhere, self._calls = target, parts, elsewhere, calls
         self._programs: dict[tuple[int, int], tuple[Tuning, Kernels]] = {}
+        self._choices: Steps | None = None  # with scales that are nobody's
 
     def program(self, tuning: Tuning) -> Kernels:
         """Return the kernels' arrays under a tuning; made once for each fit, for all twins."""
@@ -59,13 +60,18 @@ class _Programmed:
     def _stretch(self, rng: np.random.Generator, walk: Callable, calls: np.ndarray, target: Target, tuning: Tuning,
                  draws: int, thin: int, gain: float) -> Stretch:  # fmt: skip
         """Return the Stretch of draws * thin steps from where a Target's chain is; every `thin`-th place is kept."""
-        steps, now, temperature = steps_of(self.parts, tuning), target.chain.values[NOW], float(tuning.temperature)
+        if self._choices is None:
+            self._choices = steps_of(self.parts, tuning)
+        scale = np.ones(len(self.parts)) if tuning.scale is None else tuning.scale.copy()
+        steps, now, temperature = (
+            self._choices._replace(scale=scale), target.chain.values[NOW], float(tuning.temperature)
+        )  # fmt: skip
         kept, counts, done = np.empty((draws, len(now))), np.zeros((len(self.parts), 2), np.int64), 0
         while done < draws * thin:
             done, k = walk(rng, calls, target, steps, now, temperature, gain, done, thin, kept, counts)
             if k >= 0:
                 target = self._take(rng, k, steps.scale[k : k + 1], target, tuning, gain, counts[k])
-                done += 1
+                now, done = target.chain.values[NOW], done + 1
                 if done % thin == 0:
                     kept[done // thin - 1] = now
         return Stretch(kept[:, :PRIOR].copy(), kept[:, PRIOR:].copy(), counts, steps.scale)
@@ -180,9 +186,13 @@ class CompiledBackend(_Programmed):
         chain, evaluator = self._blank
         self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         self._loaded = np.empty(0)
+        if not self._elsewhere:
+            return
+        self._trial = copy(self)
+        self._trial.chain, self._trial.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         only: Callable = lambda *_: 0  # noqa: E731 - which kernel takes the step has been drawn already
         self._interpreted = {
-            k: InterpretedBackend(self.target, [self.parts[k]], engine=self, pick=only) for k in self._elsewhere
+            k: InterpretedBackend(self.target, [self.parts[k]], engine=self._trial, pick=only) for k in self._elsewhere
         }
 
     def twin(self) -> "CompiledBackend":
@@ -204,7 +214,7 @@ class CompiledBackend(_Programmed):
 
     def evaluate(self, values: np.ndarray) -> tuple[float, float]:
         """Return log prior and log likelihood; -inf and -inf outside the prior's support."""
-        if self.target.space.log_prior(values) == -np.inf:
+        if log_prior(self.model.unknowns, self.model.laws, values) == -np.inf:
             return -np.inf, -np.inf
         self.load(values)
         prior, likelihood = self.chain.values[NOW, [PRIOR, DENSITY]]
@@ -231,13 +241,16 @@ class CompiledBackend(_Programmed):
 
     def _take(self, rng: np.random.Generator, k: int, scale: np.ndarray, target: Target, tuning: Tuning, gain: float,
               counts: np.ndarray) -> Target:  # fmt: skip
-        now = target.chain.values[NOW].copy()
-        self._loaded = now[:PRIOR]
-        step = self._interpreted[k].walked(rng, now, tuning._replace(scale=scale), 1, 1, gain)
+        step = self._interpreted[k].walked(rng, target.chain.values[NOW], tuning._replace(scale=scale), 1, 1, gain)
         counts += step.counts[0]
         scale[:] = step.scale
-        self.load(step.values[0])
-        return target._replace(engine=self.evaluator.for_steps())
+        if not step.counts[0, 1]:
+            return target  # a step is tried on arrays of its own, so nothing has to be loaded again
+        trial = self._trial
+        self.chain, trial.chain = trial.chain, self.chain
+        self.evaluator, trial.evaluator = trial.evaluator, self.evaluator
+        trial._loaded = np.empty(0)
+        return target._replace(chain=self.chain, engine=self.evaluator.for_steps())
 
 
 Backend = CompiledBackend | InterpretedBackend
