@@ -220,16 +220,17 @@ def falling(state: State) -> tuple[int, ...] | None:
 
 
 def held_by_another(state: State) -> tuple[int, int] | None:
-    """Return (i, j), a solid over nothing and the one on whose round side it is held, neither with others on it."""
+    """Return (i, j), a solid over nothing and the one on whose round side it is held, neither with others on it: of
+    several that which bears most of it, for what stands beside a mallet's handle is touched by it, too."""
     for i, row in enumerate(state.rows):
         if not np.isnan(state.bottoms[i]) or lowest(row) < LEAST_HEIGHT:
             continue
         others = {*state.parents[:i], *state.parents[i + 1 :]}
-        for j, other in enumerate(state.rows):
-            if j == i or {i, j} & others or flat_top(other):
-                continue
-            if state.parents[i] == j or gap_between(row, other) < HELD:
-                return i, j
+        by = [j for j, other in enumerate(state.rows) if j != i and not {i, j} & others and not flat_top(other)
+              and (state.parents[i] == j or gap_between(row, other) < HELD)]  # fmt: skip
+        if by:
+            shares = shares_of_load(state.rows, i, HELD)
+            return i, max(by, key=lambda j: shares.get(j, 0.0))
     return None
 
 

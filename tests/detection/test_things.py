@@ -318,6 +318,9 @@ def test_what_is_held_by_a_round_side_is_part_of_it():
     assert held_by_another(lying.add(apart, UPRIGHT, False)) is None  # it hangs over nothing
     box = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.03]), np.array([0.1, 0.1, 0.06]))
     assert held_by_another(State().add(box, UPRIGHT, False, FLOOR, 0.0).add(handle, UPRIGHT, False)) is None
+    tilted = make_row(BOX, rotation_x(0.2)[:3, :3], np.array([0.05, 0.0, 0.06]), np.array([0.06, 0.1, 0.1]))
+    beside = State().add(tilted, FREE, False).add(head, FREE, False).add(handle, UPRIGHT, False)
+    assert held_by_another(beside) == (2, 1)  # what bears it, and not what else it touches
 
 
 def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
