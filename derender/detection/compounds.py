@@ -290,12 +290,12 @@ def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:
 
 
 def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarray) -> int | None:
-    """Return the solid, nothing on it, over which a thing goes on across a convex edge as a carton's gable; else None.
+    """Return the solid, nothing on it, over which a thing goes on as a gable or a bottle's shoulder; else None.
 
     mask : (H, W) bool, the thing's pixels. normal : (H, W, 3) of the surface.
     """
     shows = (held_out(seen.image, state, -1)[1] >= 0) & (seen.image.weight > 0) & ~mask
-    if not goes_on(seen.surface, mask, shows, normal):
+    if not goes_on(seen.surface, mask, shows, normal, flush=True):
         return None
     part = goes_on_from(seen, state, mask)
     return part if part is not None and share_over(seen.points[mask], state.rows[part]) > BENEATH else None
@@ -327,21 +327,28 @@ def hangs(seen: Observation, state: State, mask: np.ndarray) -> bool:
     return low - support_of(points, state)[1] >= HANGS * (high - low) and beyond[NEARER] <= HIDDEN
 
 
-def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: np.ndarray) -> bool:
+def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: np.ndarray, flush: bool = False) -> bool:
     """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
 
     mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
+    flush : whether it may go on straight, too, as a bottle's shoulder does; a concave edge, where what stands there has
+        its foot, speaks against it.
     """
-    outline, convex, points = 0, 0, surface.points
+    outline, onward, points = 0, 0, surface.points
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = mask & ~np.roll(mask, way, axis)
         apart = np.roll(points, NEXT * way, axis) - points
-        turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)
+        there, here = ((n * apart).sum(axis=2) for n in (np.roll(normal, NEXT * way, axis), normal))
         distance = np.linalg.norm(apart, axis=2)
-        sharp = (distance < NEXT * surface.jump) & (turn > TURN * distance)
+        onto = edge & np.roll(shows, NEXT * way, axis) & (distance < NEXT * surface.jump)
+        least = TURN * distance
+        goes = there - here > least
+        if flush:
+            goes |= (here < least) & (there > -least) & normal.any(axis=2)
+            onward -= (onto & (there - here < -least)).sum()
         outline += edge.sum()
-        convex += (edge & np.roll(shows, NEXT * way, axis) & sharp).sum()
-    return convex > GOES_ON * outline
+        onward += (onto & goes).sum()
+    return onward > GOES_ON * outline
 
 
 def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Sequence[int] = ()) -> int | None:

@@ -323,6 +323,22 @@ def test_what_is_held_by_a_round_side_is_part_of_it():
     assert held_by_another(beside) == (2, 1)  # what bears it, and not what else it touches
 
 
+def test_what_goes_on_straight_over_a_solid_is_its_part_and_what_stands_on_its_top_is_not():
+    """The front of a solid, rows 10 to 19, seen from the front; above it a piece that is flush with it, or set back on
+    its top, unseen or seen from above."""
+    rows, columns = np.indices((20, 20)).astype(float)
+    front = np.stack([0.002 * columns, np.full(rows.shape, 0.5), 0.002 * (20 - rows)], axis=-1)
+    normal = np.broadcast_to([0.0, -1.0, 0.0], front.shape).copy()
+    piece, solid = rows < 10, rows >= 10
+    assert not goes_on(surface_through(front), piece, solid, normal)
+    assert goes_on(surface_through(front), piece, solid, normal, flush=True)
+    back = front.copy()
+    back[piece, 1] += 0.008
+    assert not goes_on(surface_through(back), piece, solid, normal, flush=True)
+    unknown = np.zeros(front.shape)
+    assert not goes_on(surface_through(front), piece, solid, unknown, flush=True)
+
+
 def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
     def cylinder(x, bottom, across, height):
         return make_row(
