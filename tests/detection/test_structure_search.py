@@ -12,14 +12,14 @@ from derender.detection.estimate import point_estimate
 from derender.detection.floor import drawn, neighbour_correlation, rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import reduce
-from derender.detection.search.greedy import Settings, Task, total_energy
+from derender.detection.search.greedy import Settings, Task, prune, rise, total_energy
 from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.proposals import Hypothesis
 from derender.detection.search.searches import Climb, crossed, explain_otherwise, explain_rest, parts
 from derender.detection.solids.image import FAR, draw, make_image, make_row
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, penetration_beyond
 from derender.detection.solids.misfit import added_misfit, misfit_map
-from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.evaluation.convex import intersection_volume
@@ -400,6 +400,16 @@ def test_what_a_floor_is_uneven_by_is_no_solid(rng):
     depth, _ = render_floor_scene(["box", "box"], floor @ poses, sizes, floor, camera)
     state, _ = point_estimate(rng, depth + 0.001 * rng.normal(size=depth.shape), camera)
     assert len(state) == 1 and state.rows[0, 13:16] == pytest.approx(sizes[1], abs=0.004)
+
+
+def test_a_slab_is_no_higher_than_its_top_though_it_is_tilted():
+    """It is sunk in the floor, whose bend it stands for, and one of its edges is over that."""
+    turned = rotation_x(np.radians(2.0))[:3, :3]
+    slab = make_row(BOX, turned, np.array([0.0, 0.0, -0.002]), np.array([0.2, 0.3, 0.014]))
+    assert highest(slab) > Settings().uneven > rise(slab, UPRIGHT)
+    assert rise(slab, FREE) == highest(slab)
+    image = make_image(np.full((9, 9), 1.0), np.full((9, 9), 0.002), Camera(9.0, 9.0, 4.0, 4.0, 9, 9), np.eye(4), 0.0)
+    assert not len(prune(image, State().add(slab, UPRIGHT, False, FLOOR, 0.0), Settings(price=-np.inf)))
 
 
 def test_a_quick_look_searches_once():

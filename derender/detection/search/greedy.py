@@ -219,6 +219,12 @@ def cube_of(row: np.ndarray, side: float, origin: np.ndarray, form: int) -> np.n
     return new
 
 
+def rise(row: np.ndarray, form: int) -> float:
+    """Return how high over the floor the middle of an upright solid's top is, metres; of another its highest point: of
+    a wide slab that is tilted as little as solids may be, a corner is far higher."""
+    return float(row[12] + 0.5 * row[15]) if form == UPRIGHT else highest(row)
+
+
 def prune(image: Image, state: State, settings: Settings, only: set[int] | None = None) -> State:
     """Remove solids (or some of those in `only`) whose removal costs less than their price, and what is no higher than
     floors are uneven.
@@ -227,7 +233,7 @@ def prune(image: Image, state: State, settings: Settings, only: set[int] | None 
     """
     i = 0
     while i < len(state):
-        if highest(state.rows[i]) < settings.uneven:
+        if rise(state.rows[i], state.forms[i]) < settings.uneven:
             state, i, only = state.without(i), 0, None
             continue
         if only is not None and i not in only:
