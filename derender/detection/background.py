@@ -186,24 +186,32 @@ def sides_show(sight: np.ndarray) -> bool:
     return bool(np.median(np.linalg.norm(sight[:, :2], axis=1) / np.linalg.norm(sight, axis=1)) > SIDES)
 
 
+def cut_short(
+    surface: SeenSurface, mask: np.ndarray, normal: np.ndarray, beyond: np.ndarray, frame: Sequence[int]
+) -> bool:
+    """Return whether what shows as one solid is cut off by the image's border as a wall or a hand is, and shows neither
+    its top nor that it stands; takes what `is_background` does."""
+    points = surface.points
+    cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
+    return cut and not shows_foot(surface, mask, beyond)
+
+
 def is_background(
     surface: SeenSurface,
     mask: np.ndarray,
     normal: np.ndarray,
     behind: np.ndarray,
     beyond: np.ndarray,
-    frame: tuple[int, int, int, int],
+    frame: Sequence[int],
 ) -> bool:
-    """Return whether what shows as one solid is a piece of the background: cut off by the image's border as a wall or a
-    hand is, grown together with what is background, on the very edge of the support, where a bin's wall begins, or
-    along it, as a wall of which something hides a part.
+    """Return whether what shows as one solid is a piece of the background: cut short, grown together with what is
+    background, on the very edge of the support, where a bin's wall begins, or along it, as a wall of which something
+    hides a part.
 
     surface : see `standing_bodies`. mask : (H, W) bool, the pixels that show it. normal : (H, W, 3). behind : those of
     the background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
     """
-    points = surface.points
-    cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
-    cut = cut and not shows_foot(surface, mask, beyond)
+    points, cut = surface.points, cut_short(surface, mask, normal, beyond, frame)
     if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY or along_edge(points[mask], beyond[mask]):
         return True
     outline, joined = np.zeros(mask.shape, bool), np.zeros(mask.shape, bool)

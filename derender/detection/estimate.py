@@ -145,7 +145,7 @@ def on_one_floor(
         seen, state, more, clutter = leftovers(rng, seen, state, settings)
         masks += more
         if seen.correlation > CORRELATED:
-            seen, state, masks = without_background(seen, state, masks)
+            seen, state, masks = without_background(seen, state, masks, settings)
             state.parents = final_parents(state)
             state, masks = compounds(seen, state, masks)
             seen, masks = with_borne(seen, masks)

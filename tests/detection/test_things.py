@@ -42,6 +42,7 @@ from derender.detection.things import (
     without_background,
 )
 from derender.report.scene_json import scene_json
+from derender.results.trust import MAY_EXIST
 from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
@@ -94,11 +95,11 @@ def test_a_solid_of_which_hardly_anything_is_seen_is_there_by_chance():
     for x, size in ((-0.12, (0.08, 0.08, 0.1)), (0.1, (0.1, 0.1, 0.08))):
         place = to_floor @ translation(x, 0.0, 0.5 * size[2])
         state = state.add(make_row(BOX, place[:3, :3], place[:3, 3], np.array(size)), UPRIGHT, False)
-    assert len(without_background(seen, state, [])[1]) == 2
+    assert len(without_background(seen, state, [], Settings())[1]) == 2
     right = silhouette(seen.image, state, 1)
     hole = right & (np.cumsum(right, axis=0) > 0.2 * right.sum(axis=0))  # a fifth of each column is left, its top
     holed = observe(np.where(hole, np.nan, image), CAMERA)
-    there, kept, _ = without_background(holed, state, [])
+    there, kept, _ = without_background(holed, state, [], Settings())
     assert len(kept) == 1 and kept.rows[0, 10] < 0.0
     assert there.behind[right & ~hole].mean() > 0.8
 
@@ -109,8 +110,21 @@ def test_a_solid_is_background_only_with_what_nothing_explains_below_it():
     seen = observe(image, CAMERA)
     place = np.linalg.inv(seen.floor.pose) @ TABLE @ translation(0.28, -0.05, 0.15)
     upper = make_row(BOX, place[:3, :3], place[:3, 3], np.array([0.16, 0.12, 0.18]))
-    _, kept, _ = without_background(seen, State().add(upper, FREE, False), [])
+    _, kept, _ = without_background(seen, State().add(upper, FREE, False), [], Settings())
     assert len(kept) == 1
+
+
+def test_what_the_border_cuts_is_background_and_yet_told_as_what_may_be_an_object():
+    """A banana that the border cut was taken for an arm, and nothing spoke against the scene without it."""
+    seen = observe(seen_on_the_table([(BOX, 0.28, -0.05, (0.16, 0.12, 0.24), None)]), CAMERA)
+    upper = seen.mask & (seen.points[..., 2] > 0.1) & (seen.points[..., 2] < 0.2)
+    assert upper[:, -1].any() and upper.sum() > 100
+    there, _, masks = without_background(seen, State(), [upper], Settings())
+    ((mask, probability),) = there.clutter
+    assert not masks and there.behind[upper].all() and (mask == upper).all()
+    assert MAY_EXIST < probability < 0.55
+    inner = np.roll(upper, -20, axis=1)  # not cut
+    assert not without_background(seen, State(), [inner], Settings())[0].clutter
 
 
 def test_a_thing_has_the_low_parts_that_it_goes_on_into():
