@@ -42,7 +42,7 @@ def freestanding(surface: SeenSurface, believed: Things) -> list[np.ndarray]:
     if count == 0:
         return []
     area = np.bincount(label[label >= 0], surface.footprint[label >= 0] ** 2, count)
-    owner = joined(surface, label, edges, THING, believed.edge / believed.patch, area, believed)
+    owner, _ = joined(surface, label, edges, THING, believed.edge / believed.patch, area, believed)
     piece = np.where(label >= 0, owner[label], -1)
     free = stand_free(outline_shares(surface, piece, count))
     pixels = np.bincount(piece[piece >= 0], minlength=count)

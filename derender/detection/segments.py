@@ -18,6 +18,7 @@ CONCAVE = np.cos(np.radians(30.0))  # of the normals on both sides of an edge
 NECK = 0.25  # of the side of the square as large as the smaller piece, that a common edge has at least
 SPECK = 5  # pixels: smaller pieces join their neighbours
 ROUNDS = 6  # in which pixels on edges join the nearest piece
+ALONE = 0.08  # share of a thing's area from which on a piece of it may be an object of its own
 RIM = 40  # pixels of a piece that may be the inside or the outside of another
 # Of the narrower one's width as the camera sees it: how far apart they may be, with nothing between but the bottom or
 # what returned nothing, how much higher one, and how much wider both together.
@@ -119,8 +120,9 @@ def segments(surface: SeenSurface, mask: np.ndarray, normal: np.ndarray) -> tupl
 def joined(
     surface: SeenSurface, label: np.ndarray, edges: np.ndarray, price: float, nats: float, area: np.ndarray,
     believed: Things,
-) -> np.ndarray:  # fmt: skip
-    """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less; and (N,) by how many
+    nats less at least, for each thing, of those joins by which it has ALONE of its area or more: inf where none has.
 
     label, edges : see `segments`. price : nats of one more thing. nats : of each metre of edge within a thing as large
         as usual.
@@ -130,12 +132,14 @@ def joined(
     count, points, origin = len(edges), surface.points, surface.origin
     owner = np.arange(count)
     edges, area = edges.copy(), np.array(area, float)
+    joins = []
     while count > 1:
         neck = NECK * np.sqrt(np.minimum(area[:, None], area))
         gains = np.where(edges > neck, price - nats * edges / believed.larger(area[:, None] + area), -np.inf)
         a, b = np.unravel_index(np.argmax(gains), gains.shape)
         if gains[a, b] <= 0.0:
             break
+        joins.append((gains[a, b], min(area[a], area[b]), owner == a, owner == b))
         owner[owner == b] = a
         area[a] += area[b]
         edges[a] += edges[b]
@@ -144,16 +148,24 @@ def joined(
     clouds = {k: points[np.isin(label, np.flatnonzero(owner == k))] for k in np.unique(owner)}
     for a in sorted(clouds):
         for b in sorted(clouds):
-            if (
-                a < b
-                and a in clouds
-                and b in clouds
-                and min(len(clouds[a]), len(clouds[b])) >= RIM
-                and one_rim(clouds[a], clouds[b], origin)
-            ):
+            if a < b and a in clouds and b in clouds and two_sides(clouds[a], clouds[b], origin):
                 owner[owner == b] = a
+                area[a] += area[b]
                 clouds[a] = np.vstack([clouds[a], clouds.pop(b)])
-    return owner
+    least = np.full(count, np.inf)
+    for gain, smaller, *sides in joins:
+        whole = owner[np.argmax(sides[0])]
+        if smaller < ALONE * area[whole] or gain >= least[whole]:
+            continue
+        one, other = (points[np.isin(label, np.flatnonzero(side))] for side in sides)
+        if not two_sides(one, other, origin):
+            least[whole] = gain
+    return owner, least
+
+
+def two_sides(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
+    """Return whether two pieces (K, 3) are the two sides of one rim, and large enough to tell, see `one_rim`."""
+    return min(len(first), len(second)) >= RIM and one_rim(first, second, origin)
 
 
 def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:

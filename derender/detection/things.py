@@ -141,8 +141,10 @@ def likely_things(
         if existence[0] < LEAST_EXISTENCE:
             behind |= mask
             clutter.append((mask, existence[0]))
-        else:
-            found.append(made_thing(seen, state, mask, existence))
+            continue
+        cost = cost_of(seen._replace(mask=mask), settings.believed.loose.things)
+        one = settings.believed.loose.existence.joined(existence, nats_of_joins(seen, mask, cost, settings))
+        found.append(made_thing(seen, state, mask, one))
     room = max(settings.max_objects - len(state), 0) if settings.counts_all else len(found)
     for thing in sorted(found, key=lambda each: -int(each.mask.sum()))[room:]:
         behind |= thing.mask
@@ -254,10 +256,9 @@ def pieces_of(seen: Observation, state: State, cost: Cost, settings: Settings) -
     label, count, edges = segments(seen.surface, left, cost.normal)
     if count == 0:
         return [], 0.0
-    price = complexity(BOX, UPRIGHT, False, settings)
-    nats = settings.temper * cost.believed.edge / (cost.believed.patch * seen.scale)  # nearer things have smaller edges
+    price, nats = complexity(BOX, UPRIGHT, False, settings), nats_of_edges(seen, cost, settings)
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
-    owner = joined(seen.surface, label, edges, price, nats, area, cost.believed)
+    owner, _ = joined(seen.surface, label, edges, price, nats, area, cost.believed)
     thing = np.append(owner, -1)[label]  # of each pixel
     within = 0.5 * np.array([edges[np.ix_(owner == k, owner == k)].sum() for k in range(count)])
     inside = thing >= 0
@@ -280,6 +281,22 @@ def pieces_of(seen: Observation, state: State, cost: Cost, settings: Settings) -
         found.append(mask)
         total += float(gain[k])
     return found, total
+
+
+def nats_of_edges(seen: Observation, cost: Cost, settings: Settings) -> float:
+    """Return the tempered nats of a metre of edge within a usual thing; nearer things have smaller edges."""
+    return settings.temper * cost.believed.edge / (cost.believed.patch * seen.scale)
+
+
+def nats_of_joins(seen: Observation, mask: np.ndarray, cost: Cost, settings: Settings) -> float:
+    """Return by how many nats at least what a mask (H, W) shows is likelier one thing than two that meet in a concave
+    edge; inf where it has none that parts off much of it."""
+    label, count, edges = segments(seen.surface, mask, cost.normal)
+    if count < 2:
+        return np.inf
+    area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
+    price, nats = complexity(BOX, UPRIGHT, False, settings), nats_of_edges(seen, cost, settings)
+    return float(joined(seen.surface, label, edges, price, nats, area, cost.believed)[1].min()) / settings.temper
 
 
 def without_background(

@@ -35,9 +35,11 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import (
     Cost,
     clear_of_edges,
+    cost_of,
     likely_things,
     low_parts,
     made_thing,
+    nats_of_joins,
     silhouette,
     without_background,
 )
@@ -184,8 +186,24 @@ def test_pieces_are_joined_where_their_edge_is_short():
     points[:, 2:, 2] = 0.5  # far apart in height: not the two sides of one rim
     for metres, things in ((0.04, 1), (0.2, 2)):
         edges = np.array([[0.0, metres], [metres, 0.0]])
-        owner = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.full(2, 0.01), Things())
+        owner, least = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.full(2, 0.01), Things())
         assert len(np.unique(owner)) == things
+        assert least[owner] == pytest.approx(47.0 - metres * 23.0 / 0.03 if things == 1 else np.inf)
+    edges = np.array([[0.0, 0.02], [0.02, 0.0]])
+    _, least = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.array([0.01, 0.0007]), Things())
+    assert np.isinf(least).all()  # a handle is no object of its own
+
+
+def test_a_thing_of_pieces_that_might_be_two_is_less_sure_to_be_one(monkeypatch):
+    seen, settings = observe(seen_on_the_table([(BOX, 0.0, 0.0, (0.1, 0.1, 0.1), None)]), CAMERA), Settings()
+    cost, existence = cost_of(seen, settings.believed.loose.things), bare_image().loose.existence
+    assert np.isinf(nats_of_joins(seen, seen.mask, cost, settings))  # of one piece
+    (whole,) = likely_things(seen, State(), [seen.mask], settings)[1]
+    monkeypatch.setattr("derender.detection.things.nats_of_joins", lambda *_: existence.one)
+    (pieces,) = likely_things(seen, State(), [seen.mask], settings)[1]
+    assert pieces.existence[0] == pytest.approx(0.5 * whole.existence[0])
+    told = [existence.joined((0.9, 0.0), gain)[0] for gain in (0.0, 10.0, 20.0, 50.0, np.inf)]
+    assert (np.diff(told) > 0.0).all() and told[-1] == 0.9
 
 
 def test_a_body_many_times_as_large_costs_as_much_and_is_joined_as_readily():
@@ -195,7 +213,7 @@ def test_a_body_many_times_as_large_costs_as_much_and_is_joined_as_readily():
     prices = []
     for times in (1.0, 5.0):
         edges, area = 0.05 * times * np.array([[0.0, 1.0], [1.0, 0.0]]), np.full(2, 0.5 * (believed.wide * times) ** 2)
-        owner = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, area, believed)
+        owner, _ = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, area, believed)
         assert len(np.unique(owner)) == 1
         prices.append(
             Cost(even * (believed.wide * times) ** 2, even * 0.3 * times, even, points, believed).numbers(mask)
@@ -297,7 +315,7 @@ def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():
     points[:, 2:, 2] = 0.5
     edges = np.array([[0.0, 0.012], [0.012, 0.0]])
     for area, things in (([0.007, 0.006], 2), ([0.007, 0.0006], 1)):
-        owner = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.array(area), Things())
+        owner, _ = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.array(area), Things())
         assert len(np.unique(owner)) == things
 
 

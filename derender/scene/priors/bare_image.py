@@ -25,6 +25,8 @@ class Existence:
 
     even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see detection.existence;
         nats count with the square of that.
+    one : nats gained by joining pieces that meet in a concave edge at which they are as likely one as two; each so
+        many more make the odds of that e^2 times as high.
     """
 
     even: float = 35.0
@@ -33,12 +35,21 @@ class Existence:
     error: float = 0.05  # standard error of that
     error_at_even: float = 0.15  # at even odds
     outstanding: float = 0.5
+    one: float = 15.0
 
     def of(self, gain: float, outstanding: float) -> tuple[float, float]:
         """Return (probability, standard error) for a gain in nats of a thing that stands out so much."""
         gain *= (outstanding / self.outstanding) ** 2
         share = 1.0 / (1.0 + (self.even / max(gain, 1e-9)) ** self.steep)
         return self.most * share, math.hypot(self.error * share, self.error_at_even * 4.0 * share * (1.0 - share))
+
+    def joined(self, existence: tuple[float, float], gain: float) -> tuple[float, float]:
+        """Return (probability, standard error) of a thing of such an existence of which pieces gain so many nats."""
+        probability, error = existence
+        share = 1.0 / (1.0 + math.exp(2.0 - 2.0 * gain / self.one))
+        return probability * share, math.hypot(
+            error * share, probability * self.error_at_even * 4 * share * (1 - share)
+        )
 
 
 @dataclass(frozen=True)
@@ -235,7 +246,7 @@ SHARE = ("", 1e-9, 1.0 - 1e-9)
 GROUPS: dict[str, tuple[Any, dict]] = {
     "missed": (Missed, {"pixels": ("", 1e-9), "": ("", 1e-9, 1.0)}),
     "shared": (Shared, {"least": ("", 0.0, 1.0), "most": ("", 0.0, MOST_SHARED), "columns": ("", 1.0), "": ("", 0.0)}),
-    "existence": (Existence, {"even": ("", 1e-9), "steep": ("", 1e-9), "": ("", 1e-9, 1.0)}),
+    "existence": (Existence, {"even": ("", 1e-9), "steep": ("", 1e-9), "one": ("", 1e-9), "": ("", 1e-9, 1.0)}),
     "things": (Things, {"patch": ("m", 1e-6), "wide": ("m", 1e-6), "whole": ("", 0.0, 1.0), "": ("", 0.0)}),
     "floor": (Floors, {"height": ("m", 1e-9), "spread": ("", 1.0 + 1e-9), "share": ("", 1e-9),
                        "explained": ("", 1e-9), "": ("", 1e-9, 1.0)}),
