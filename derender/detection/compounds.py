@@ -331,10 +331,10 @@ def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: n
     """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
 
     mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
-    flush : whether it may go on straight, too, as a bottle's shoulder does; a concave edge, where what stands there has
-        its foot, speaks against it.
+    flush : whether it may go on straight, too, as a bottle's shoulder does, but where half as much of its outline has a
+        concave edge: where what stands there has its foot.
     """
-    outline, onward, points = 0, 0, surface.points
+    outline, onward, foot, points = 0, 0, 0, surface.points
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = mask & ~np.roll(mask, way, axis)
         apart = np.roll(points, NEXT * way, axis) - points
@@ -345,10 +345,10 @@ def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: n
         goes = there - here > least
         if flush:
             goes |= (here < least) & (there > -least) & normal.any(axis=2)
-            onward -= (onto & (there - here < -least)).sum()
+            foot += (onto & (there - here < -least)).sum()
         outline += edge.sum()
         onward += (onto & goes).sum()
-    return onward > GOES_ON * outline
+    return onward > max(GOES_ON * outline, 2 * foot)
 
 
 def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Sequence[int] = ()) -> int | None:

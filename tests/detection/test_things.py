@@ -369,6 +369,10 @@ def test_what_goes_on_straight_over_a_solid_is_its_part_and_what_stands_on_its_t
     assert not goes_on(surface_through(back), piece, solid, normal, flush=True)
     unknown = np.zeros(front.shape)
     assert not goes_on(surface_through(front), piece, solid, unknown, flush=True)
+    for concave, expected in ((6, True), (12, False)):  # columns: what noise makes of some, or a foot
+        some = normal.copy()
+        some[:10, :concave] = [0.0, -0.9, -0.43]
+        assert goes_on(surface_through(front), piece, solid, some, flush=True) == expected
 
 
 def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
