@@ -290,13 +290,14 @@ def nats_of_edges(seen: Observation, cost: Cost, settings: Settings) -> float:
 
 def nats_of_joins(seen: Observation, mask: np.ndarray, cost: Cost, settings: Settings) -> float:
     """Return by how many nats at least what a mask (H, W) shows is likelier one thing than two that meet in a concave
-    edge; inf where it has none that parts off much of it."""
+    edge; inf where it has none that parts off much of it, or is one for other reasons, as a chair on its foot is."""
     label, count, edges = segments(seen.surface, mask, cost.normal)
     if count < 2:
         return np.inf
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
     price, nats = complexity(BOX, UPRIGHT, False, settings), nats_of_edges(seen, cost, settings)
-    return float(joined(seen.surface, label, edges, price, nats, area, cost.believed)[1].min()) / settings.temper
+    owner, least = joined(seen.surface, label, edges, price, nats, area, cost.believed)
+    return float(least.min()) / settings.temper if len(np.unique(owner)) == 1 else np.inf
 
 
 def without_background(

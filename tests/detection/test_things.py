@@ -199,6 +199,11 @@ def test_a_thing_of_pieces_that_might_be_two_is_less_sure_to_be_one(monkeypatch)
     cost, existence = cost_of(seen, settings.believed.loose.things), bare_image().loose.existence
     assert np.isinf(nats_of_joins(seen, seen.mask, cost, settings))  # of one piece
     (whole,) = likely_things(seen, State(), [seen.mask], settings)[1]
+    for owner, gain in (([0, 0], 5.0), ([0, 1], np.inf)):  # joined by its edges alone, and for other reasons, too
+        monkeypatch.setattr("derender.detection.things.segments", lambda *_: (np.full(seen.mask.shape, -1), 2, None))
+        made = np.array(owner), np.array([5.0, np.inf])
+        monkeypatch.setattr("derender.detection.things.joined", lambda *_, made=made: made)
+        assert nats_of_joins(seen, seen.mask, cost, settings) == gain
     monkeypatch.setattr("derender.detection.things.nats_of_joins", lambda *_: existence.one)
     (pieces,) = likely_things(seen, State(), [seen.mask], settings)[1]
     assert pieces.existence[0] == pytest.approx(0.5 * whole.existence[0])
