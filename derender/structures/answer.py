@@ -76,39 +76,35 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
 def with_absences(
     parts: "list[StructurePosterior]", existence: dict[str, tuple[float, float]], elsewhere: dict[str, float]
 ) -> "list[StructurePosterior]":
-    """Return the structures with all of their objects, and those in which some of them are none but clutter.
+    """Return the structures with all of their objects, and those in which some of the likeliest one's are but clutter.
 
-    So that no structure is likelier than each of its objects. What something stands on is one in all. Of each structure
-    the likeliest choices are told, the one with most draws with all of them; what others hold is nobody's.
+    So that no structure is likelier than each of its objects. What something stands on is one in all. What is left of
+    the shares is nobody's: of the others without some of their objects, which often are the same structures, that of
+    many would be likelier than any with an object of which only its shape is open, though the object is likely.
 
     existence : by name, (probability that it is an object, whatever else is one; standard error of that).
     elsewhere : by name, how probably an object is one that is seen somewhere else than where it should be; if it is
-        not, something else is there, and the share is nobody's.
+        not, something else is there.
     """
     from derender.structures.free_forms import without_object
 
-    found: dict[object, StructurePosterior] = {}
-    for number, part in enumerate(parts):
+    found, likeliest_part = [], max(parts, key=lambda part: part.weight)
+    for part in parts:
         held = {on for vertex in part.graph.vertices for on in (vertex.parent, *vertex.supports)}
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
         shares = [np.array([known, 1.0 - known]) for known, _ in doubted.values()]
-        most = float(np.prod([share.max() for share in shares]))
         as_told = float(np.prod([share for name, share in elsewhere.items() if name in part.graph.names]))
-        for chosen, odds in likeliest(shares):
+        for chosen, _ in likeliest(shares) if part is likeliest_part else [((0,) * len(doubted), 1.0)]:
             absent = [name for name, choice in zip(doubted, chosen, strict=True) if choice]
             own = part.best_only() if absent else part
             for name in absent:
                 own = without_object(own, name)
             told = [share[choice] for share, choice in zip(shares, chosen, strict=True)]
             errors = [error / max(p, error) for p, (_, error) in zip(told, doubted.values(), strict=True) if error]
-            own = own.scaled(as_told * odds * most, as_told * odds * most * float(np.linalg.norm(errors)))
-            key: object = own.graph.structure() if absent else number
-            if absent:
-                own = replace(own, extras={**own.extras, "absent": absent})
-            if key in found and found[key].weight > 0.0:  # two that differed in what is clutter in both
-                own = found[key].scaled(1.0 + own.weight / found[key].weight)
-            found[key] = own
-    return sorted(found.values(), key=lambda part: -part.weight)[: max(MOST_STRUCTURES, len(parts))]
+            share = as_told * float(np.prod(told))
+            own = own.scaled(share, share * float(np.linalg.norm(errors)))
+            found.append(replace(own, extras={**own.extras, "absent": absent}) if absent else own)
+    return sorted(found, key=lambda part: -part.weight)[: max(MOST_STRUCTURES, len(parts))]
 
 
 def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],

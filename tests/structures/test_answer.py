@@ -62,12 +62,17 @@ def test_an_error_of_existence_is_one_of_the_structure(part):
     assert whole.weight_interval[0] < whole.weight - 0.1 and whole.weight_interval[1] > whole.weight + 0.1
 
 
-def test_what_differs_in_clutter_alone_is_one_structure(part):
+def test_an_object_whose_shape_is_open_is_told_where_it_is_likelier_than_not(part):
+    """Three shapes of one object, likely to exist: without it all three are one structure, the likeliest of any."""
     sizes = {"length": 0.05, "width": 0.06, "height": 0.05}
-    other = replace(part.scaled(0.25), graph=part.graph.replace("left", shape="box", parameters=sizes))
-    parts = with_absences([part, other], {"left": (0.75, 0.0)}, {})
-    assert len(parts) == 3 and sum(each.weight for each in parts) == pytest.approx(1.0)
-    assert min(parts, key=lambda each: len(each.graph.names)).weight == pytest.approx(0.25)
+    box = replace(part.scaled(0.9), graph=part.graph.replace("left", shape="box", parameters=sizes))
+    ball = replace(part.scaled(0.8), graph=part.graph.replace("left", shape="sphere", parameters={"radius": 0.03}))
+    parts = with_absences([part, box, ball], {"left": (0.6, 0.0)}, {})
+    assert "left" in parts[0].graph.names
+    assert [each.weight for each in parts] == pytest.approx([0.8 * 0.6, 0.72 * 0.6, 0.64 * 0.6, 0.8 * 0.4])
+    assert Posterior(tuple(parts), meta={"existence": {"left": (0.6, 0.0)}}).object_probability(
+        "left"
+    ) == pytest.approx(0.6)
 
 
 def test_of_many_things_the_likeliest_choices_are_told(part):
