@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from derender.results.posterior import Posterior, StructurePosterior
     from derender.structures.together import Look
 
+RATHER = 0.5  # share of what an object shows in that it explains, below which a structure is doubted for it, too
 LITTLE_FLOOR = 0.4  # share of what shows no solid: what stands on the rest may be told background
 
 
@@ -52,7 +53,8 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], case.frames, strict=True)]
     told = explanation_of(graph, observations, case.depth, case.camera)
     elsewhere = {name: share for name, share in told.borne_out(case.depth).items() if share < LEAST_FITTING}
-    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], elsewhere)))
+    rather = {name: share for name, share in elsewhere.items() if share < RATHER}
+    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], rather)))
     for name, share in elsewhere.items():
         known, error = meta["existence"].get(name, (1.0, 0.0))
         meta["existence"][name] = (share * known, error)
