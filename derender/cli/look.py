@@ -33,11 +33,10 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     rendered from each; by how much their images tell their sizes, structures and stability apart is how much the image
     is expected to tell, in nats: one makes the range of one number 2.7 times narrower, less than 0.1 is next to
     nothing, and a size whose standard deviation is below 0.3 mm counts as known. Of one number a factor of four is
-    enough: the best views leave no size hidden. The
-    table shows them: the turn about the scene (seen from above, anticlockwise) and the elevation over the floor in
-    degrees, how far the camera moves, and the 90 % range of the size that is known least, as it is and as it is
-    expected to be. The poses of all cameras, the best candidate's last, go to a file that `derender infer --together
-    --poses` takes, and a picture of what is seen from there beside it.
+    enough: the best views leave no size hidden. The table shows them: the turn about the scene (seen from above,
+    anticlockwise) and the elevation over the floor in degrees, how far the camera moves, and the 90 % range of the size
+    that is known least, as it is and as it is expected to be. The poses of all cameras, the best candidate's last, go
+    to a file that `derender infer --together --poses` takes, and a picture of what is seen from there beside it.
 
     \b
     Examples:

@@ -80,9 +80,9 @@ def with_absences(
 ) -> "list[StructurePosterior]":
     """Return the structures with all of their objects, and those in which some of the likeliest one's are but clutter.
 
-    So that no structure is likelier than each of its objects. What something stands on is one in all. What is left of
-    the shares is nobody's: of the others without some of their objects, which often are the same structures, that of
-    many would be likelier than any with an object of which only its shape is open, though the object is likely.
+    So that no structure is likelier than each of its objects. What something stands on is an object in all. Of the
+    likeliest structure alone: structures that differ in the shape of one object are the same without it, and that one
+    would be told as the likeliest, though the object is there more often than not. What the others leave is nobody's.
 
     existence : by name, (probability that it is an object, whatever else is one; standard error of that).
     elsewhere : by name, how probably an object is one that is seen somewhere else than where it should be; if it is
@@ -96,7 +96,9 @@ def with_absences(
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
         shares = [np.array([known, 1.0 - known]) for known, _ in doubted.values()]
         as_told = float(np.prod([share for name, share in elsewhere.items() if name in part.graph.names]))
-        for chosen, _ in likeliest(shares) if part is likeliest_part else [((0,) * len(doubted), 1.0)]:
+        all_there = (0,) * len(doubted)
+        choices = [chosen for chosen, _ in likeliest(shares)] if part is likeliest_part else [all_there]
+        for chosen in choices:
             absent = [name for name, choice in zip(doubted, chosen, strict=True) if choice]
             own = part.best_only() if absent else part
             for name in absent:
