@@ -37,7 +37,7 @@ WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and h
 PIECE = 60  # pixels of a piece of a longer body, at least
 PARTED = 0.003  # of the image's pixels, what shows a piece of the floor at least that solids part
 FOOT = 0.03  # metres over the support that what a body shows in a column may end and stand there
-STANDS = 0.6  # share of its columns in which a body ends at its foot from which on it shows that it stands
+STANDS = 0.5  # share of its columns in which a body ends at its foot from which on it shows that it stands
 DOWN = 0.75  # of its top's height over the support, how much a body shows at least that comes down to it
 LARGE = 0.02  # share of the pixels with a depth: what shows in less, cut off by the border, is a detail
 SIDES = 0.5  # level part of the unit sight line, from which on sides show at more than half of their height
@@ -78,7 +78,7 @@ def standing_bodies(
             or (
                 cut_off(points, mask, frame, real)
                 and not shows_top(points[mask], normal[mask])
-                and not shows_foot(surface, mask, beyond)
+                and not shows_foot(surface, mask, beyond, frame)
             )
             or (not floating and floats(surface, mask))
         )
@@ -132,16 +132,26 @@ def cut_off(points: np.ndarray, mask: np.ndarray, frame: Sequence[int], real: bo
     frame : first and last row and column of what the camera sees. least : metres that a body is long of which one of
     the sides of the image may cut off the rest.
     """
-    top, bottom, left, right = frame
+    top, bottom, _, _ = frame
     rows, columns = np.nonzero(mask)
-    high, wide = np.ptp(rows) + 1, np.ptp(columns) + 1
+    wide = np.ptp(columns) + 1
     over = len(np.unique(columns[rows <= top + 1])) / wide
     under = len(np.unique(columns[rows >= bottom - 1])) / wide
-    beside = max(len(np.unique(rows[columns <= left])), len(np.unique(rows[columns >= right]))) / high
-    long = length(points[mask])
-    if real and (over > CUT or (beside > CUT and long > least)):
+    by_sides, long = beside(mask, frame), length(points[mask])
+    if real and (over > CUT or (by_sides > CUT and long > least)):
         return True
-    return bool(max(over, under, beside) > 0.0 and long > LONG)
+    return bool(max(over, under, by_sides) > 0.0 and long > LONG)
+
+
+def beside(mask: np.ndarray, frame: Sequence[int]) -> float:
+    """Return the share of the rows of a body's pixels, (H, W) bool, in which one side of the image cuts it.
+
+    frame : see `cut_off`.
+    """
+    _, _, left, right = frame
+    rows, columns = np.nonzero(mask)
+    most = max(len(np.unique(rows[columns <= left])), len(np.unique(rows[columns >= right])))
+    return float(most / (np.ptp(rows) + 1))
 
 
 def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
@@ -153,21 +163,25 @@ def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     return np.mean((points[:, 2] > top) & (normal[:, 2] > FLAT)) > TOP_SHARE
 
 
-def shows_foot(surface: SeenSurface, mask: np.ndarray, beyond: np.ndarray) -> bool:
+def shows_foot(surface: SeenSurface, mask: np.ndarray, beyond: np.ndarray, frame: Sequence[int]) -> bool:
     """Return whether a body shows that it stands well within the support: arms and walls do not.
 
     Its foot shows all along; or it is no detail of the image, hardly any of it is beyond the border or hidden, beside
     what shows something farther behind it, and it comes so far down that most of its height is seen.
 
-    mask : (H, W) bool, its pixels. beyond : (H, W) metres, see `standing_bodies`.
+    mask : (H, W) bool, its pixels. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
     """
     own = surface.points[mask]
-    if np.mean(beyond[mask] > -EDGE) > MOSTLY or max(length(own), np.ptp(ends_of(own[:, 2:], ENDS))) > LONG:
-        return False
     columns = np.flatnonzero(mask.any(axis=0))
+    long = max(length(own), np.ptp(ends_of(own[:, 2:], ENDS))) > LONG
+    # A wall ends the floor, or goes on beyond the sides of the image; what has floor all around does neither.
+    if np.mean(beyond[mask] > -EDGE) > (OUTSIDE if long else MOSTLY) or (long and beside(mask, frame) > 0.0):
+        return False
     rows = mask.shape[0] - 1 - np.argmax(mask[::-1, columns], axis=0)
     if np.mean(surface.points[rows, columns, 2] < FOOT) > STANDS:
         return True
+    if long:
+        return False
     outline = outline_shares(surface, np.where(mask, 0, -1).astype(np.int32), 1)[0]
     shows = outline[FARTHER] > outline[NEARER] + outline[BORDER]
     return bool(shows and comes_down(own) and mask.sum() > LARGE * surface.good.sum())
@@ -193,7 +207,7 @@ def cut_short(
     its top nor that it stands; takes what `is_background` does."""
     points = surface.points
     cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
-    return cut and not shows_foot(surface, mask, beyond)
+    return cut and not shows_foot(surface, mask, beyond, frame)
 
 
 def is_background(

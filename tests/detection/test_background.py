@@ -175,6 +175,9 @@ def test_a_solid_that_is_long_and_stands_along_the_edge_of_the_floor_is_the_wall
     assert is_background(surface, mask, upright, nothing, near_the_edge, (0, 59, 0, 79)) == wall
 
 
+INSIDE, FRAME = np.full((60, 80), -1.0), (0, 59, 0, 79)
+
+
 def with_a_front(side, rows, bottom=0.0):
     """Return (SeenSurface, mask) of a plane with an upright front of so many rows before it, cut by the top or right
     border, that begins so many metres over the plane."""
@@ -191,23 +194,34 @@ def with_a_front(side, rows, bottom=0.0):
 def test_what_the_border_cuts_but_shows_to_stand_on_the_floor_is_no_hand_and_no_wall(side):
     """Of a block that stands on the floor all along its lower edge the border may cut off what it likes."""
     surface, mask = with_a_front(side, 24)
-    inside, at_edge, frame = np.full((60, 80), -1.0), np.zeros((60, 80)), (0, 59, 0, 79)
     nothing, upright = np.zeros((60, 80), bool), np.zeros_like(surface.points)
-    assert cut_off(surface.points, mask, frame, least=0.0)
-    assert shows_foot(surface, mask, inside) and not is_background(surface, mask, upright, nothing, inside, frame)
-    assert not shows_foot(surface, mask, at_edge)  # where the floor ends, as a wall
-    assert not shows_foot(surface.in_units_of(1.0 / 6.0), mask, inside)  # furniture
+    assert cut_off(surface.points, mask, FRAME, least=0.0)
+    assert shows_foot(surface, mask, INSIDE, FRAME)
+    assert not is_background(surface, mask, upright, nothing, INSIDE, FRAME)
+    assert not shows_foot(surface, mask, np.zeros((60, 80)), FRAME)  # where the floor ends, as a wall
+
+
+def test_what_is_large_and_cut_by_the_border_stands_there_where_its_foot_and_both_its_sides_show():
+    """A pallet of cartons whose top is cut off was background; a sofa that goes on beyond the image is."""
+    for side, stands in (("top", True), ("right", False)):
+        surface, mask = with_a_front(side, 24)
+        large = surface.in_units_of(1.0 / 6.0)
+        assert shows_foot(large, mask, INSIDE, FRAME) == stands
+        assert not shows_foot(large, mask, np.full((60, 80), -0.01), FRAME)  # along the edge of the floor
+    surface, mask = with_a_front("top", 24, 0.02)
+    assert shows_foot(surface, mask, INSIDE, FRAME) and not shows_foot(
+        surface.in_units_of(1.0 / 6.0), mask, INSIDE, FRAME
+    )  # a shelf
 
 
 @pytest.mark.parametrize("side", ["top", "right"])
 def test_what_comes_down_near_the_floor_stands_on_it_though_its_foot_is_narrow_or_hidden(side):
     """A monitor on its foot, a cabinet on its wheels: no detail of the image, and before what is farther behind."""
-    inside = np.full((60, 80), -1.0)
-    assert shows_foot(*with_a_front(side, 24, 0.035), inside)
-    assert not shows_foot(*with_a_front(side, 24, 0.06), inside)  # it hangs over the floor as an arm does
+    assert shows_foot(*with_a_front(side, 24, 0.035), INSIDE, FRAME)
+    assert not shows_foot(*with_a_front(side, 24, 0.06), INSIDE, FRAME)  # it hangs over the floor as an arm does
     surface, mask = with_a_front(side, 24, 0.035)
     surface.points[~mask, 1] += 0.3  # what shows beside it is nearer: a wall's piece that others leave to be seen
-    assert not shows_foot(surface, mask, inside)
+    assert not shows_foot(surface, mask, INSIDE, FRAME)
 
 
 def test_the_border_is_where_returns_begin_not_the_top_of_a_solid():
