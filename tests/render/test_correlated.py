@@ -59,9 +59,7 @@ def written_down(observed, depth, values):
         if before:
             shows = np.mean([anew(at)[0] / anew(at)[1] for at in before])
             goes_on = values["clump"] + (values["shared"] - values["clump"]) * shows
-            some = sum(
-                2**k for k, own in enumerate((places[:1], places[1:2], places[2:])) if all(p in there for p in own)
-            )
+            some = sum(2**k for k, place in enumerate(places) if place in there)
             mean = sum(weights[k, some] * observed[at] for k, at in enumerate(places) if weights[k, some])
             off = deviations[some] * step(mean)
             over, z = np.array([left.get(at, 0.0) for at in places]), (observed[r, c] - mean) / off
@@ -85,11 +83,15 @@ def test_it_is_the_density_that_its_description_says():
         assert np.all(NOISE.per_pixel(observed, depth, VALUES)[np.isnan(observed)] == 0.0)
 
 
-def test_a_plane_goes_on_as_it_is_and_a_constant_where_some_are_lost():
+def test_a_plane_goes_on_as_it_is_and_a_constant_where_too_few_tell_how():
+    """In the second row of an image, too: a slanted face was less likely there if it did not show in the first."""
     weights, deviations = prediction(VALUES)
     up, left = np.array(NEIGHBOURS).T
     plane = 0.7 - 0.01 * up + 0.003 * left
-    assert weights[:, 7] @ plane == pytest.approx(0.7) and weights[:, 1:].sum(axis=0) == pytest.approx(1.0)
+    off = abs(plane @ weights - 0.7)
+    second_row, in_a_row = sum(2**k for k in range(6) if up[k] < 2), sum(2**k for k in range(6) if up[k] == 0)
+    assert max(off[63], off[second_row]) < 1e-9 < min(off[in_a_row], off[7])  # 7: three, which noise would tilt
+    assert weights[:, 1:].sum(axis=0) == pytest.approx(1.0)
     assert np.all(np.diff(deviations[[1, 3]]) < 0.0) and np.all(weights[:, 0] == 0.0)
 
 
@@ -102,8 +104,9 @@ def integral(values, before, row, column, depth):
     around = np.pad(prefix, 2, constant_values=np.nan)[row : row + 3, column : column + 5]
     earlier = around[np.isfinite(around)]
     there = [around[2 - up, 2 - left] for up, left in NEIGHBOURS]
-    predicted = [there @ prediction(values)[0][:, 7]] if np.isfinite(there).all() else []
-    centres = np.unique([*depth.ravel(), *earlier, *np.mean(earlier, keepdims=True), *predicted])
+    some = np.isfinite(there) @ 2 ** np.arange(6)
+    predicted = np.nan_to_num(there) @ prediction(values)[0][:, some]
+    centres = np.unique([*depth.ravel(), *earlier, *np.mean(earlier, keepdims=True), predicted])
     near = np.concatenate([centre + np.linspace(-0.2, 0.2, 61) for centre in centres])
     breaks = np.unique(np.concatenate([[1e-3, 0.1, 10.0, 30.0], np.linspace(0.1, 5.0, 50), near[near > 0.0]]))
     for low, high in zip(breaks, breaks[1:], strict=False):
@@ -124,8 +127,8 @@ def test_each_pixel_integrates_to_one_given_all_before_it():
 def test_draws_are_of_the_density():
     """Each pixel's quantile given those before it is uniform, and independent of its neighbours'."""
     rng = np.random.default_rng(2)
-    depth = np.where(np.arange(160) < 90, 0.8, 1.2)[None].repeat(120, axis=0)
-    observed = NOISE.sample(rng, depth, VALUES)
+    depth, right = np.where(np.arange(160) < 90, 0.8, 1.2)[None].repeat(120, axis=0), {**VALUES, "outlier": 0.02}
+    observed = NOISE.sample(rng, depth, right)
 
     def failures(values):
         """Return the KS p-value of whitened noise and its greatest correlation with a neighbour's."""
@@ -134,14 +137,14 @@ def test_draws_are_of_the_density():
             abs(correlation([white], up, left)) for up, left in ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
         )
 
-    fits, shared = failures(VALUES)
+    fits, shared = failures(right)
     assert fits > 1e-3 and shared < 4.0 / np.sqrt(depth.size)
-    for wrong in ({"white": 0.9}, {"sigma": 0.02}, {"step": 0.0025}, {"tail": 0.0}, {"alone": 0.5}, {"outlier": 0.02},
+    for wrong in ({"white": 0.9}, {"sigma": 0.02}, {"step": 0.0025}, {"tail": 0.0}, {"alone": 0.5}, {"outlier": 0.1},
                   {"shared": 0.6}, {"clump": 0.2}):  # fmt: skip
-        fits, shared = failures({**VALUES, **wrong})
+        fits, shared = failures({**right, **wrong})
         assert fits < 1e-3 or shared > 4.0 / np.sqrt(depth.size), wrong  # the broken twins
-    others = [{**VALUES, "fading": fading} for fading in (0.02, 0.5, 1.0)]
-    assert min(NOISE.log_density(observed, depth, VALUES) - NOISE.log_density(observed, depth, other)
+    others = [{**right, "fading": fading} for fading in (0.02, 0.5, 1.0)]
+    assert min(NOISE.log_density(observed, depth, right) - NOISE.log_density(observed, depth, other)
                for other in others) > 5.0  # fmt: skip
 
 
@@ -216,7 +219,7 @@ def test_of_what_may_be_hidden_it_makes_no_difference_what_is_behind():
 
 def test_whitened_noise_is_the_density_s_own():
     """Its derivative by a pixel's depth is the density over the normal's: the quantiles are not of something else."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(4)
     observed, step = NOISE.sample(rng, STEP, VALUES), 1e-7
     for row, column in ((0, 0), (2, 2), (2, 3), (2, 5), (4, 6)):
         ahead, last = observed.copy(), np.zeros(observed.shape, bool)

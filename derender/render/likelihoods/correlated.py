@@ -26,11 +26,12 @@ from derender.render.likelihoods.pixelwise import (
     mixture,
 )
 
-# (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
-NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
-GROUPS = (0, 1, 2, 2, 2, 2)
-MEMBERS = (np.arange(8)[:, None] >> np.array(GROUPS)) % 2 == 1  # (8, 6), which neighbours tell in each set of groups
+NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # (rows up, columns to the left) of the earlier ones
+MEMBERS = (np.arange(64)[:, None] >> np.arange(6)) % 2 == 1  # (64, 6), which of them returned in each set
 PLACES = np.array([(0, 0), *NEIGHBOURS], float)
+# Sets that tell how a plane goes on: not all of one row, and one more than a plane has numbers, or the noise does.
+TELL_A_PLANE = np.linalg.matrix_rank(MEMBERS[..., None] * np.column_stack([np.ones(6), PLACES[1:]])) == 3
+TELL_A_PLANE &= MEMBERS.sum(axis=1) > 3
 APART = np.moveaxis(PLACES[:, None] - PLACES[None], -1, 0)  # (2, 7, 7), rows and columns between a pixel and those
 SHARE = (1e-5, 1.0 - 1e-3)  # of the variance that is each pixel's own, and of pixels: both it and the rest are some
 REACH = (1e-9, 1e9)  # pixels: a chain may go wherever a distribution over it lets it
@@ -61,12 +62,12 @@ class Correlated(Likelihood):
         white [same pixel] + (1 - white) (1 + h) exp(-h),
         h^2 = (columns apart / reach)^2 + (rows apart / reach_down)^2
 
-    (a Matern field of smoothness 3/2), about a plane of which nothing is known; where some have no return about a
-    constant, and off by more. What that leaves, in units of the step, is regressed on what it left at the same six:
-    their weights are 0 beforehand, as firmly as 100 pixels would tell it, and each row forgets the share `fading` of
-    what the rows above told of them. With 1 nothing is learnt. A share `tail` of these innovations is four times as
-    wide. The share `alone` goes on from one of the nearest four alone, as along an edge, with Student's t of 3 degrees
-    of freedom, four times as wide too.
+    (a Matern field of smoothness 3/2), about a plane of which nothing is known; where fewer than four returned, or all
+    lie in a row, about a constant. The fewer, the more it is off. What that leaves, in units of the step, is regressed
+    on what it left at the same six: their weights are 0 beforehand, as firmly as 100 pixels would tell it, and each row
+    forgets the share `fading` of what the rows above told of them. With 1 nothing is learnt. A share `tail` of these
+    innovations is four times as wide. The share `alone` goes on from one of the nearest four alone, as along an edge,
+    with Student's t of 3 degrees of freedom, four times as wide too. A depth that is not positive is no return.
 
     The product of all pixels' densities given earlier ones integrates to one for each set of pixels that return. One
     without a return is evidence of nothing. One that holds minus a depth shows what is no part of the scene: see
@@ -162,18 +163,11 @@ def predicted(depths, row, column, weights, deviations, step, growth):
 
     depths : (H + 4, W + 4), 0 where none returned; row, column : in that.
     """
-    every, mean = len(deviations) - 1, 0.0
-    some = every
+    some, mean = 0, 0.0
     for k in range(len(NEIGHBOURS)):
-        there = depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
-        mean += weights[k, every] * there
-        if not there > 0.0:
-            some &= ~(1 << GROUPS[k])
-    if some != every:
-        mean = 0.0
-        for k in range(len(NEIGHBOURS)):
-            if some >> GROUPS[k] & 1:
-                mean += weights[k, some] * depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
+        some |= (depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]] > 0.0) << k
+    for k in range(len(NEIGHBOURS)):
+        mean += weights[k, some] * depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
     return mean, deviations[some] * (step + growth * mean * mean)
 
 
@@ -315,13 +309,13 @@ def covariance(rows: np.ndarray, columns: np.ndarray, values: Mapping[str, float
 
 
 def prediction(values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return (6, 8) weights of the neighbours and (8,) deviations about what they predict, for each set of groups, by
-    that of all.
+    """Return (6, 64) weights of the neighbours and (64,) deviations about what they predict, for each set of those that
+    returned, by that of all.
 
-    Set s has group k where s has bit k. All six predict a plane as it is, others a constant, none nothing.
+    Set s has neighbour k where s has bit k. What tells a plane predicts it as it is, others a constant, none nothing.
     """
     matrix, count = covariance(APART[0], APART[1], values), len(NEIGHBOURS)
-    told = np.column_stack([MEMBERS, MEMBERS.any(axis=1), *[MEMBERS.all(axis=1)] * 2])  # what each set knows and holds
+    told = np.column_stack([MEMBERS, MEMBERS.any(axis=1), TELL_A_PLANE, TELL_A_PLANE])  # what each set knows and holds
     trend = np.column_stack([np.ones(count), PLACES[1:]])
     system = np.block([[matrix[1:, 1:], trend], [trend.T, np.zeros((3, 3))]])
     system = np.where(told[:, :, None] & told[:, None], system, np.eye(count + 3))
