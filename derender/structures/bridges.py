@@ -8,6 +8,9 @@ over the draws, which know nothing of the contact.
     with the contact     p(data) ~ N(m; 0, s^2 + slack^2)
     without              p(data) ~ 1 / REACH      (any height of the other within REACH below would have done)
 
+A top that is hidden may be anywhere up to the resting face, which it cannot enter: the draws end at the gap 0, and are
+mirrored there, each widened as much as so many tell (Silverman, Density Estimation, 1986, sections 2.10 and 3.4).
+
 How probable the contact is beforehand, REACH and how much less what would tip off its parent alone, says the prior.
 
 Which of several supports is the parent is told here too (`by_bearer`): the one that bears most, which may hang on
@@ -36,7 +39,8 @@ from derender.scene.priors.bare_image import Loose, balances
 from derender.scene.shapes import shapes
 from derender.structures.draws.chart import Chart, rows_at
 
-NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
+DEEPEST, LARGEST_TILT = 0.010, np.radians(4.0)  # metres by which the solids may enter each other, and angle of faces
+ENDS_AT_NONE = 2.0  # standard deviations of draws from their mean to 0, where few would lie beyond anyway
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
 RESTING = ("face-to-face", "side-on-face")
 EXTENTS = {"x": "length", "y": "width", "z": "height"}
@@ -79,7 +83,9 @@ def candidates(part: StructurePosterior, slack: float, loose: Loose) -> list[Can
         for other in graph.names:
             if other in (vertex.name, vertex.parent, *vertex.supports, *graph.descendants(vertex.name)):
                 continue
-            if other not in graph.path(vertex.parent, ROOT) and _bounded(graph, other) and _level(graph, vertex, other):
+            if other in graph.path(vertex.parent, ROOT) or not _bounded(graph, other):
+                continue
+            if _level(graph, vertex, other, loose.within):
                 found.append(judge(part, graph, vertex.name, other, slack, loose))
     return found
 
@@ -88,13 +94,13 @@ def _bounded(graph: SceneGraph, name: str) -> bool:
     return shapes[graph.vertex(name).shape].bounded
 
 
-def _level(graph: SceneGraph, vertex: Vertex, other: str) -> bool:
-    """Whether the vertex would lie flat on `other`, not merely graze it."""
+def _level(graph: SceneGraph, vertex: Vertex, other: str, within: float) -> bool:
+    """Whether the vertex would lie flat on `other`, whose top is within so many metres, and not merely graze it."""
     try:
         residual = support_residual(graph, vertex.name, other)
     except DerenderError:  # these two shapes have no such contact
         return False
-    if abs(residual.gap) > NEAREST_GAP or residual.tilt > LARGEST_TILT or residual.outside > 0.0:
+    if not -DEEPEST < residual.gap < within or residual.tilt > LARGEST_TILT or residual.outside > 0.0:
         return False
     contact, _ = graph.nearest_contact(
         vertex.name, other, vertex.contact.type, residual.parent_face, residual.child_face
@@ -110,13 +116,24 @@ def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, sl
         support_residual(part.graph_at(chain, draw), name, other).gap
         for chain, draw in list(np.ndindex(chains, draws))[::every]
     ]
-    mean, spread = float(np.median(gaps)), float(np.std(gaps))
     balanced = balances(graph, name, graph.vertex(name).parent)
-    variance = spread**2 + slack**2
-    with_it = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2 * np.pi * variance)
+    with_it = density_at_none(np.array(gaps), slack)
     prior_odds = loose.second_support / (1.0 - loose.second_support)
     odds = prior_odds * loose.within * with_it / (1.0 if balanced else loose.tipping)
     return Candidate(name, other, float(odds / (1 + odds)))
+
+
+def density_at_none(gaps: np.ndarray, slack: float) -> float:
+    """Return the density, 1 / m, at no gap of that of which there are draws (N,), within a slack; metres.
+
+    See the head of this file.
+    """
+    mean, spread = float(np.median(gaps)), float(np.std(gaps))
+    if slack < spread and mean < ENDS_AT_NONE * spread and gaps.min() > -slack:
+        wide = np.hypot(1.06 * spread * len(gaps) ** -0.2, slack)
+        return float(2.0 * np.exp(-0.5 * (gaps / wide) ** 2).mean() / (np.sqrt(2.0 * np.pi) * wide))
+    wide = np.hypot(spread, slack)
+    return float(np.exp(-0.5 * (mean / wide) ** 2) / (np.sqrt(2.0 * np.pi) * wide))
 
 
 def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePosterior]:

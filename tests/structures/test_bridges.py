@@ -89,6 +89,17 @@ def test_the_probability_is_the_savage_dickey_ratio():
         assert second_support(gap, spread, plank_shift=shift) == pytest.approx(odds / (1 + odds), abs=0.02)
 
 
+@pytest.mark.parametrize("shift", [-0.06, 0.0])
+def test_a_tower_whose_top_is_hidden_may_reach_the_plank_however_low_the_best_scene_has_it(shift):
+    """Of two towers one hid its top, the best scene had it 14 mm too low, and the plank on the other at P > .99."""
+    rng, gaps = np.random.default_rng(3), np.linspace(0.0, 0.03, 80)
+    part = posterior_of(bridge(0.08 - 0.015, plank_shift=shift), 0.0, rng)
+    part = replace(part, values=rng.permutation(0.08 - gaps).reshape(part.values.shape))
+    odds = 0.06 / 0.03 / (1.0 if shift else bare_image().loose.tipping)  # as dense at the plank as anywhere
+    told = Posterior(tuple(with_bridges([part], RULES))).support_probability("plank")["right"]
+    assert np.log(told / (1.0 - told)) == pytest.approx(np.log(odds), abs=0.3)  # of 80 draws, some 25 about the end
+
+
 def test_a_rarer_second_support_is_less_probable_by_the_odds_of_the_file():
     part, rare = (
         posterior_of(bridge(0.077, plank_shift=-0.06), 0.001, np.random.default_rng(0)),
