@@ -76,18 +76,24 @@ def with_bridges(parts: Sequence[StructurePosterior], rules: Rules) -> list[Stru
 def candidates(part: StructurePosterior, slack: float, loose: Loose) -> list[Candidate]:
     """Return the second supports that a structure may have, with their probabilities."""
     graph, _ = part.best()
-    found = []
-    for vertex in graph.vertices:
-        if vertex.parent == ROOT or vertex.contact.type not in RESTING or not _bounded(graph, vertex.parent):
-            continue
-        for other in graph.names:
-            if other in (vertex.name, vertex.parent, *vertex.supports, *graph.descendants(vertex.name)):
-                continue
-            if other in graph.path(vertex.parent, ROOT) or not _bounded(graph, other):
-                continue
-            if _level(graph, vertex, other, loose.within):
-                found.append(judge(part, graph, vertex.name, other, slack, loose))
-    return found
+    pairs = [
+        (vertex.name, other)
+        for vertex in graph.vertices
+        if vertex.parent != ROOT and vertex.contact.type in RESTING and _bounded(graph, vertex.parent)
+        for other in graph.names
+        if other not in (vertex.name, vertex.parent, *vertex.supports, *graph.descendants(vertex.name))
+        and other not in graph.path(vertex.parent, ROOT)
+        and _bounded(graph, other)
+        and _level(graph, vertex, other, loose.within)
+    ]
+    scenes = some_of(part) if pairs else []
+    return [judge(scenes, graph, name, other, slack, loose) for name, other in pairs]
+
+
+def some_of(part: StructurePosterior) -> list[SceneGraph]:
+    """Return GAPS or more of a structure's draws, all where there are no more."""
+    places = list(np.ndindex(part.log_density.shape))
+    return [part.graph_at(*place) for place in places[:: max(1, len(places) // GAPS)]]
 
 
 def _bounded(graph: SceneGraph, name: str) -> bool:
@@ -108,14 +114,12 @@ def _level(graph: SceneGraph, vertex: Vertex, other: str, within: float) -> bool
     return all(EDGE < contact.values.get(key, 0.5) < 1 - EDGE for key in ("u", "v"))
 
 
-def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, slack: float, loose: Loose) -> Candidate:
-    """Return the candidate with its probability, by the ratio at the head of this file."""
-    chains, draws = part.log_density.shape
-    every = max(1, chains * draws // GAPS)
-    gaps = [
-        support_residual(part.graph_at(chain, draw), name, other).gap
-        for chain, draw in list(np.ndindex(chains, draws))[::every]
-    ]
+def judge(scenes: list[SceneGraph], graph: SceneGraph, name: str, other: str, slack: float, loose: Loose) -> Candidate:
+    """Return the candidate with its probability, by the ratio at the head of this file.
+
+    scenes : draws. graph : the best scene.
+    """
+    gaps = [support_residual(scene, name, other).gap for scene in scenes]
     balanced = balances(graph, name, graph.vertex(name).parent)
     with_it = density_at_none(np.array(gaps), slack)
     prior_odds = loose.second_support / (1.0 - loose.second_support)
@@ -157,11 +161,12 @@ def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior
     contact = part.graph.vertex(candidate.other).contact
     if contact.type != "face-to-face" or part.graph.vertex(candidate.other).shape not in ("box", "cylinder"):
         return part
-    residual = support_residual(part.graph, candidate.name, candidate.other)
     face = contact.faces[1]
     opposite = ("-" if face[0] == "+" else "+") + face[1]
     address = f"{candidate.other}.{EXTENTS[face[1]]}"
-    if residual.parent_face != opposite or address not in part.addresses:
+    if address not in part.addresses:
+        return part
+    if support_residual(part.graph, candidate.name, candidate.other).parent_face != opposite:
         return part
     values = part.values.copy()
     place = part.addresses.index(address)

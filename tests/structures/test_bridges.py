@@ -17,7 +17,7 @@ from derender.results.posterior import Posterior, StructurePosterior, load
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
 from derender.scene.priors.bare_image import Loose, balances
-from derender.structures.bridges import judge, support_residual, with_bridges
+from derender.structures.bridges import judge, some_of, support_residual, with_bridges
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 from worlds.made_scenes import render_floor_scene
@@ -105,7 +105,9 @@ def test_a_rarer_second_support_is_less_probable_by_the_odds_of_the_file():
         posterior_of(bridge(0.077, plank_shift=-0.06), 0.001, np.random.default_rng(0)),
         Loose(second_support=0.2),
     )
-    even, less = (judge(part, part.graph, "plank", "right", SLACK, loose).probability for loose in (Loose(), rare))
+    even, less = (
+        judge(some_of(part), part.graph, "plank", "right", SLACK, loose).probability for loose in (Loose(), rare)
+    )
     assert less / (1.0 - less) == pytest.approx(0.25 * even / (1.0 - even))
 
 
