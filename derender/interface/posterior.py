@@ -54,7 +54,7 @@ class Found(NamedTuple):
     """One object of a posterior's most probable scene.
 
     name, type : of the object.
-    size : (3,) metres, full extents along its own axes; size_error : (3,), half of their 90 % ranges.
+    size : (3,) metres, full extents along its own axes; size_error : (3,), half of their 90 % ranges; NaN: no draws.
     pose : (4, 4), object to camera.
     parent : what it rests on; parent_probability : of each thing that it may rest on, by name.
     probability : that the object is there.
@@ -80,7 +80,7 @@ class Objects(tuple[Found, ...]):
         told: list[tuple[str, ...]] = []
         for found in self:
             ranges = np.column_stack([found.size - found.size_error, found.size + found.size_error])
-            words = extents_text(found.size, ranges)
+            words = extents_text(found.size, ranges if np.isfinite(ranges).all() else None)
             told.append((found.name, found.type, words, found.parent, digits(found.probability)))
         return told
 
@@ -169,7 +169,7 @@ class Posterior(kept.Posterior):
         for item in scene_json(self.best_graph(), self)["objects"]:
             if item["size"] is None:
                 continue
-            low, high = np.array(item.get("size_interval") or [item["size"]] * 2).reshape(3, 2).T
+            low, high = np.array(item["size_interval"] or np.full((3, 2), np.nan)).T
             found.append(
                 Found(
                     item["name"], item["type"], np.array(item["size"]), 0.5 * (high - low), np.array(item["pose"]),
@@ -269,10 +269,10 @@ class Posterior(kept.Posterior):
         Each has a bar, the greatest on top, and above it what it says, in as many lines as that takes.
         """
         axes = axes_for(ax)
-        told = [f"p {share}  {words}" for share, words in told_structures(self)][:MOST_BARS]
-        size, lines = fitted_lines(axes, told)
+        told = told_structures(self)[:MOST_BARS]
+        size, lines = fitted_lines(axes, [f"p {each.text}  {each.words}" for each in told])
         rows = np.cumsum([text.count("\n") + 1 + BAR for text in lines])  # counted in lines of text, from the top
-        axes.barh(rows - 0.5 * BAR, [each.probability for each in self.structures[: len(told)]], BAR)
+        axes.barh(rows - 0.5 * BAR, [each.probability for each in told], BAR)
         for row, text in zip(rows, lines, strict=True):
             axes.text(0.01, row - BAR, text, fontsize=size, va="bottom", linespacing=1.0)
         axes.set_ylim(rows[-1] + 0.5 * BAR, -0.5 * BAR)
@@ -286,7 +286,7 @@ class Posterior(kept.Posterior):
         if self.image is not None:
             depth = self.image.depth
             shown = picture_html(pictures.paint(depth, *pictures.depth_limits(depth)), "observed depth")
-        likely = "<br>".join(f"{share} {escape(words)}" for share, words in told_structures(self)[:MOST_LINES])
+        likely = "<br>".join(f"p {each.text} {escape(each.words)}" for each in told_structures(self)[:MOST_LINES])
         told = "".join(f"<li>{escape(doubt)}</li>" for doubt in self.doubts)
         judged = "" if self.trusted is None else f"<p><b>{'trusted' if self.trusted else 'not to be trusted'}</b></p>"
         table = self.objects._repr_html_()

@@ -12,7 +12,7 @@ from derender.render.likelihoods import likelihoods
 from derender.report import tables
 from derender.report.export import glb_bytes
 from derender.report.scene_json import scene_json
-from derender.report.tree_text import told_structures
+from derender.report.tree_text import ToldStructure, told_structures
 from derender.results import trust
 from derender.results.check import check_fit
 from derender.results.fit import Fit, fit_of
@@ -28,7 +28,7 @@ class Report(NamedTuple):
     """What a report shows.
 
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
-    structures : (probability as it is said, words) of each structure found, most probable first.
+    structures : the structures found as people are told of them, most probable first.
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
         what Eq. 6 compares with the observed one.
     """
@@ -41,7 +41,7 @@ class Report(NamedTuple):
     observed: np.ndarray | None = None  # (height, width) float64, metres, NaN without return, or None
     draws: Sequence[Solids] = ()  # solids of some posterior draws, to show the spread
     parameters: Sequence[Mapping[str, Any]] = ()
-    structures: Sequence[tuple[str, str]] = ()
+    structures: Sequence[ToldStructure] = ()
     facts: Mapping[str, Any] = {}  # what else is known, shown in the head: seed, version, command, the sensor, times
     likelihood: Mapping[str, Any] = {}
     doubts: tuple[trust.Doubt, ...] = ()  # reasons to doubt the posterior, from its chains and from its image

@@ -96,19 +96,19 @@ def _structures(report: Report) -> str:
         return ""
     rows = "".join(
         f'<tr><td class="number">{escape(weight)}</td><td>{escape(words)}</td></tr>'
-        for weight, words in report.structures[:MOST_STRUCTURES]
+        for _, weight, words in report.structures[:MOST_STRUCTURES]
     )
     head = '<tr><th class="number">weight</th><th>structure</th></tr>'
     return wide(f'<table class="narrow">{head}{rows}</table>', "structures")
 
 
 def _objects(report: Report, colours: Mapping[str, str]) -> str:
-    rows, drawn = [], _drawn(report)
+    rows = []
     for item in report.scene["objects"]:
         name, size = escape(item["name"]), item.get("size")
         extents = "–" if size is None else extents_text(size, item.get("size_interval"))
         likely = "–"
-        if drawn and "probability" in item:
+        if "probability" in item:
             likely = escape(probability_text(item["probability"], item.get("probability_error", 0.0)))
         position = ", ".join(f"{row[3]:.3f}" for row in item["pose"][:3])
         swatch = f'<span class="bar" style="width:12px;background:{colours.get(item["name"], "#cdcbc6")}"></span>'
@@ -132,18 +132,13 @@ def wide(inside: str, words: str) -> str:
             '<p class="more" hidden>This goes on to the right.</p>')  # fmt: skip
 
 
-def _drawn(report: Report) -> bool:
-    """Return whether there is more than one draw: a single scene has no probabilities."""
-    return any(row["draws"].size > 1 for row in report.parameters)
-
-
 def _parameters(report: Report) -> str:
     if not report.parameters:
         return ""
     names = tables.columns(report.parameters)
     head = "".join(f"<th{' class=number' if k else ''}>{name}</th>" for k, name in enumerate(names))
     chains, draws = report.parameters[0]["draws"].shape
-    plots = _drawn(report)
+    plots = any(row["draws"].size > 1 for row in report.parameters)
     rows = []
     for row in report.parameters:
         texts = tables.cells(row)

@@ -42,8 +42,8 @@ class Outcome:
         from derender.report.tree_text import hidden_words, told_structures
 
         told = told_structures(self.posterior)
-        wide = max(len(probability) for probability, _ in told)
-        lines = [f"p {probability:{wide}}  {words}" for probability, words in told]
+        wide = max(len(each.text) for each in told)
+        lines = [f"p {each.text:{wide}}  {each.words}" for each in told]
         return [*lines, *hidden_words(self.posterior)]
 
     def lines(self) -> list[tuple[str, bool]]:
@@ -102,7 +102,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             {
                 "weight": part.weight,
                 "weight_error": part.weight_error,
-                "weight_interval": list(part.weight_interval or (part.weight, part.weight)),
+                "weight_interval": list(part.interval),
                 "objects": list(part.graph.names),
             }
             for part in posterior.parts

@@ -17,7 +17,8 @@ def scene_json(graph: SceneGraph, posterior: Posterior | None = None) -> dict[st
 
     Returns {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
     (results/trust.py) `explained`, `trusted` and `doubts`, and `trusted` of each object; of an object, `size` is the
-    three full extents along its own axes in metres, None for what has none; `size_interval` their 90 % intervals;
+    three full extents along its own axes in metres, None for what has none; `size_interval` their 90 % intervals, None
+        where no draws tell them;
     `pose` is 4x4 row-major, object to camera; `supports`, where there, names what it rests on besides its parent.
     """
     poses, meta = graph.poses(), {} if posterior is None else posterior.meta
@@ -57,8 +58,8 @@ EVERY = 400  # draws of a structure from which a size's range is told, at most
 def size_intervals(posterior: Posterior) -> dict[str, list[list[float]] | None]:
     """Return by name the 90 % intervals (low, high), metres, of an object's three full extents along its own axes.
 
-    A structure's draws count with its weight; those without the object say nothing. None for what has no size; the size
-    twice for what has nothing unknown.
+    A structure's draws count with its weight; those without the object say nothing. None for what has no size, and
+    for a size that is unknown but of which there is one draw alone; the size twice for what has nothing unknown.
     """
     found: dict[str, list[list[float]] | None] = {}
     for vertex in posterior.best_part.graph.vertices:
@@ -66,6 +67,9 @@ def size_intervals(posterior: Posterior) -> dict[str, list[list[float]] | None]:
             found[vertex.name] = None
             continue
         having = [part for part in posterior.parts if vertex.name in part.graph.names]
+        if all(part.log_density.size == 1 for part in having) and any(_unknown(part, vertex.name) for part in having):
+            found[vertex.name] = None
+            continue
         pairs = [(sizes, part.weight) for part in having if (sizes := _sizes(part, vertex.name)) is not None]
         sizes = np.concatenate([each for each, _ in pairs])
         weights = np.concatenate([np.full(len(each), max(weight, 0.0) / len(each)) for each, weight in pairs])
@@ -82,9 +86,7 @@ def _sizes(part: StructurePosterior, name: str) -> np.ndarray | None:
     size = vertex.body.size()
     if size is None:
         return None
-    prefix = f"{name}."
-    free = [(i, address[len(prefix) :]) for i, address in enumerate(part.addresses) if address.startswith(prefix)]
-    free = [(i, parameter) for i, parameter in free if "." not in parameter]  # not those of its contact
+    free = _unknown(part, name)
     if not free:
         return np.asarray(size, float)[None]
     draws = part.values.reshape(-1, part.values.shape[-1])
@@ -96,6 +98,12 @@ def _sizes(part: StructurePosterior, name: str) -> np.ndarray | None:
             psi[places[parameter]] = draw[i]
         extents.append(vertex.body._replace(psi=psi).size())
     return np.array(extents, float)
+
+
+def _unknown(part: StructurePosterior, name: str) -> list[tuple[int, str]]:
+    """Return (place among the part's numbers, shape parameter) of what is unknown of an object's shape."""
+    split = [(place, *address.partition(".")[::2]) for place, address in enumerate(part.addresses)]
+    return [(place, own) for place, owner, own in split if owner == name and "." not in own]  # not those of its contact
 
 
 def weighted_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

@@ -1,7 +1,7 @@
 """A scene graph as a tree of lines for the terminal; the structures of a posterior in words."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from derender.results.posterior import Posterior
 from derender.results.table import digits, probability_text
@@ -88,19 +88,30 @@ def _probabilities(vertex: Vertex, posterior: Any) -> str:
 
 
 SHOWN_WEIGHT = 0.005  # less is none in two digits
+LEAST_LEFT = 0.01  # probability of all other structures that is worth a line
 LEAST_HIDDEN = 0.01  # expected number of hidden things that is worth a line
 
 
-def told_structures(posterior: Posterior) -> list[tuple[str, str]]:
-    """Return (probability, words) of the structures that have any weight in two digits, the most probable first.
+class ToldStructure(NamedTuple):
+    """A structure as people are told of it."""
 
-    The probability is said as `probability_text` does, and what no image tells, things behind others, comes last.
+    probability: float
+    text: str  # the same as `probability_text` says it
+    words: str  # what rests on what
+
+
+def told_structures(posterior: Posterior) -> list[ToldStructure]:
+    """Return the structures that have any weight in two digits, the most probable first, and what is left for others.
+
+    The last, where that is worth a line, is the probability that it is none of those: a search may miss what is there.
     """
     ordered = sorted(posterior.parts, key=lambda part: -part.weight)
     shown = [ordered[0], *(part for part in ordered[1:] if part.weight >= SHOWN_WEIGHT)]
     words = [structure_words(part.graph, ordered[0].graph if k else None) for k, part in enumerate(shown)]
     said = [probability_text(part.weight, part.weight_error, part.weight_interval) for part in shown]
-    return list(zip(said, words, strict=True))
+    told = [ToldStructure(part.weight, *each) for part, *each in zip(shown, said, words, strict=True)]
+    left = 1.0 - sum(part.weight for part in shown)
+    return told if left < LEAST_LEFT else [*told, ToldStructure(left, digits(left), "none of these")]
 
 
 def hidden_words(posterior: Posterior) -> list[str]:

@@ -96,6 +96,12 @@ class StructurePosterior:
         told = zip(self.addresses, self.values[chain, draw].tolist(), strict=True)
         return {a.removeprefix("likelihood."): x for a, x in told if a.startswith("likelihood.")}
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """In which the weight lies with 90 %: the interval told, or what its standard error says."""
+        wide = NINETY * self.weight_error
+        return self.weight_interval or (max(self.weight - wide, 0.0), min(self.weight + wide, 1.0))
+
     def tells_of(self, name: str) -> bool:
         """Whether an object of this name shows in the structure: as one, or as what is clutter here."""
         return name in self.graph.names or name in self.extras.get("absent", ())

@@ -37,9 +37,9 @@ ROW = {"frame": str, "status": str, "trusted": bool, "doubts": [str], "probabili
 def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of a frame from its summary.json; a frame without a solid has one row without an object.
 
-    Where only the best scene was asked for there are no ranges and no probabilities: one draw tells none.
+    Where only the best scene was asked for there are no ranges: one draw tells none.
     """
-    scene, drawn = summary["scene"], summary["method"] != "map"
+    scene = summary["scene"]
     told = {"trusted": bool(summary["trusted"]), "doubts": list(summary["doubts"])}
     rows = []
     for item in scene["objects"]:
@@ -49,12 +49,12 @@ def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
         row = _row(frame, "done") | {"object": item["name"], "type": item["type"]} | told
         for side, extent, interval in zip(SIDES, item["size"], item.get("size_interval") or [()] * 3, strict=True):
             row[side] = extent
-            if len(interval) and drawn:
+            if len(interval):
                 row[f"{side}_low"], row[f"{side}_high"] = interval
         row |= dict(zip("xyz", map(float, pose[:3, 3]), strict=True))
         row |= dict(zip(("qw", "qx", "qy", "qz"), map(float, quaternion(pose[:3, :3])), strict=True))
         row["turn"] = turn_of(pose, scene["gravity"])
-        row["rests_on"], row["probability"] = item["parent"], item.get("probability") if drawn else None
+        row["rests_on"], row["probability"] = item["parent"], item.get("probability")
         row["object_trusted"] = item.get("trusted", told["trusted"])
         rows.append({k: round(v, DIGITS) if isinstance(v, float) else v for k, v in row.items()})
     return rows or [_row(frame, "done") | told]

@@ -134,9 +134,9 @@ def test_turn_is_seen_from_above_whatever_the_camera_sees():
     assert turn_of(rotation_z(math.pi / 2), [0.0, 9.81, 0.0]) == 0.0  # its x is upright
 
 
-def test_the_best_scene_alone_has_no_ranges_and_no_probabilities():
-    (row,) = rows_of("a", summary(FLOOR, box(), method="map"))
-    assert row["length"] == 0.2 and row["length_low"] is None and row["probability"] is None
+def test_the_best_scene_alone_has_no_ranges_but_the_probability_that_the_terminal_says():
+    (row,) = rows_of("a", summary(FLOOR, box(interval=False), method="map"))
+    assert row["length"] == 0.2 and row["length_low"] is None and row["probability"] == 0.97
 
 
 def test_lines_and_csv_hold_the_same(tmp_path):
@@ -262,7 +262,7 @@ def test_the_page_names_every_frame_and_escapes_it(tmp_path):
     assert "is made" not in index_page(tmp_path, rows)  # each has its page
     sure = {"sure": rows_of("sure", summary(FLOOR, box() | {"probability": 0.9999}))}
     assert "p &gt;.99" in index_page(tmp_path, sure)  # as everywhere: no more than that is said
-    quick = {"quick": rows_of("quick", summary(FLOOR, box(), method="map"))}
+    quick = {"quick": rows_of("quick", summary(FLOOR, box(interval=False), method="map"))}
     assert "90 % ranges" in page and "90 % ranges" not in index_page(tmp_path, quick)  # none are shown, none are told
 
 

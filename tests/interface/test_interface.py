@@ -16,6 +16,7 @@ import pytest
 
 import derender
 from derender.errors import DerenderError
+from derender.report.tree_text import ToldStructure
 
 MODULES = ("derender", "derender.camera.intrinsics", "derender.camera.depth_file", "derender.interface.functions",
            "derender.interface.scene", "derender.interface.functions",
@@ -351,7 +352,8 @@ def test_a_plot_of_structures_cuts_no_label(posterior, monkeypatch, wide, high, 
     import matplotlib.pyplot as plt
 
     words = "a_box_with_a_long_name (box) on another_box, cylinder_12 (cylinder) on floor, thing_3 (thing) on floor"
-    monkeypatch.setattr("derender.interface.posterior.told_structures", lambda p: [(".93 (.88-.96)", words)] * count)
+    told = ToldStructure(0.93, ".93 (.88-.96)", words)
+    monkeypatch.setattr("derender.interface.posterior.told_structures", lambda p: [told] * count)
     figure, axes = plt.subplots(figsize=(wide, high))
     posterior.plot_structures(axes)
     figure.canvas.draw()

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from on_floor import cube, face, on_floor
 
-from derender.report.scene_json import size_intervals, weighted_quantile
+from derender.interface import posterior as interface
+from derender.report.scene_json import scene_json, size_intervals, weighted_quantile
+from derender.report.tree_text import told_structures
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import Vertex
 
@@ -27,6 +29,34 @@ def test_a_range_holds_ninety_percent_along_the_own_axes():
     assert told["floor"] is None
     np.testing.assert_allclose(told["tin"], [expected, expected, [0.1, 0.1]], atol=2e-5)
     assert told["die"] == [[0.02, 0.02]] * 3
+
+
+def test_of_one_draw_no_range_is_told():
+    """`--quick` told ranges of no width at all: sizes known exactly, which they are not."""
+    best = Posterior((part(np.full(40, 0.05)).best_only(),))
+    assert best.best_part.log_density.size == 1
+    told = size_intervals(best)
+    assert told["tin"] is None and told["die"] == [[0.02, 0.02]] * 3  # nothing is unknown of how big the die is
+    entry = scene_json(best.best_graph(), best)["objects"][1]
+    assert entry["size_interval"] is None and entry["size"] == pytest.approx([0.1, 0.1, 0.1])
+    found = interface.Posterior.of(best, None).objects
+    assert np.isnan(found["tin"].size_error).all() and not found["die"].size_error.any()
+    assert "10.0 × 10.0 × 10.0" in repr(found) and "nan" not in repr(found) and "nan" not in found._repr_html_()
+
+
+def test_a_weight_lies_where_its_error_says():
+    one = replace(part(np.full(4, 0.05)), weight=0.85, weight_error=0.1)
+    assert one.interval == pytest.approx((0.6855, 1.0), abs=1e-3)
+    assert replace(one, weight_interval=(0.7, 0.9)).interval == (0.7, 0.9)
+
+
+def test_what_is_left_for_structures_that_were_not_found_is_told():
+    """A lone structure of P .85 left its reader to wonder what the other .15 are."""
+    one, other = (replace(part(np.full(4, 0.05)), weight=weight) for weight in (0.85, 0.03))
+    told = told_structures(Posterior((one, other)))
+    assert [(each.text, each.words) for each in told[1:]] == [(".03", "the same"), (".12", "none of these")]
+    assert told[-1].probability == pytest.approx(0.12)
+    assert len(told_structures(Posterior((replace(one, weight=0.995),)))) == 1  # none of that in two digits
 
 
 def test_structures_count_with_their_weights():
