@@ -149,16 +149,22 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         doubts.append(f"the chains disagree about the structure: the likeliest has {spread}")
     bad = sorted((row for row in rows if doubtful(row)), key=lambda row: -left_open(posterior, row))
     if bad:
-        row, most = bad[0], left_open(posterior, bad[0])
-        r_hat = f"R-hat {row['r_hat']:.3f}, " if np.isfinite(row["r_hat"]) else ""
-        words = f"the chains disagree about {row['address']}: {r_hat}{row['ess_bulk']:.0f} effective draws"
-        words += "" if np.isinf(most) else f", which leave {1000 * most:.1g} mm open"
         worst = [row for row in bad if misleads(row)]
+        row = (worst or bad)[0]
+        most = left_open(posterior, row)
+        if worst:
+            r_hat = f"R-hat {row['r_hat']:.3f}, " if np.isfinite(row["r_hat"]) else ""
+            words, needed = f"the chains disagree about {row['address']}: {r_hat}", enough_draws(worst, QUICK_LIMITS[0])
+        else:  # R-hat alone is above what many draws are asked for, by as little as a fourth digit
+            r_hat = f"R-hat {row['r_hat']:.4f} (good up to {LIMITS[0]})"
+            words, needed = f"the chains agree about {row['address']}, but not closely: {r_hat}, ", enough_draws(bad)
+        words += f"{row['ess_bulk']:.0f} effective draws"
+        words += "" if np.isinf(most) else f", which leave {float(f'{1000 * most:.1g}'):g} mm open"
         names = {row["address"].partition(".")[0] for row in worst if left_open(posterior, row) >= faces}
         own = names if np.isfinite(most) or not worst else None  # else of the root or the likelihood
         far = any(left_open(posterior, row) > (OFF * size_of(posterior, row).max() if faces else 0.0)
                   for row in worst)  # fmt: skip
-        told.append(Doubt(f"{words}; --draws {enough_draws(bad)} would do", far, about=own))
+        told.append(Doubt(f"{words}; --draws {needed} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
 
 
@@ -183,8 +189,10 @@ def size_of(posterior: "Posterior", row: Mapping[str, Any]) -> np.ndarray:
     return np.zeros(3) if size is None else np.asarray(size)
 
 
-def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:
+def enough_draws(rows: Sequence[Mapping[str, Any]], largest: float = LIMITS[0]) -> int:
     """Return how many draws of each chain the limits ask for, going by how fast these chains learn.
+
+    largest : R-hat that is good of many draws; where less than the best will do, as much as `misleads` bears.
 
     Effective draws grow with the draws, and R-hat - 1 falls with them; MARGIN is for what short chains do not know of
     themselves.
@@ -192,9 +200,9 @@ def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:
     chains, draws = rows[0]["draws"].shape
 
     def asked(total: int) -> int:
-        largest, smallest = limits(total)
+        least, smallest = limits(total)
         times = [smallest / row["ess_bulk"] for row in rows if np.isfinite(row["ess_bulk"]) and row["ess_bulk"] > 0]
-        times += [(row["r_hat"] - 1.0) / (largest - 1.0) for row in rows if np.isfinite(row["r_hat"])]
+        times += [(row["r_hat"] - 1.0) / (max(least, largest) - 1.0) for row in rows if np.isfinite(row["r_hat"])]
         return int(np.ceil(MARGIN * draws * max([1.0, *times])))
 
     needed = asked(chains * draws)
@@ -214,7 +222,7 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     if not rows or any(map(doubtful, rows)):
         return [*notes, f"nothing {'serious ' if notes else ''}speaks against this scene"]
     if not r_hats or not counts:  # no two chains to compare
-        return ["nothing speaks against this scene; without draws nothing tells how sure it is", *notes]
+        return ["nothing speaks against this scene; without draws nothing tells how sure its numbers are", *notes]
     largest, smallest = limits(rows[0]["draws"].size)
     agreement = f"the chains agree: R-hat is at most {max(r_hats):.3f} (good up to {largest})"
     return [f"{agreement}, effective draws are at least {min(counts):.0f} (good from {smallest:.0f})", *notes]

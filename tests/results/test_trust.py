@@ -104,6 +104,20 @@ def test_many_draws_are_not_asked_for_more_agreement_than_few(apart, serious):
         (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [row])
         assert doubt.serious == serious and " would do" in doubt.words
         assert serious or (not doubt.about and doubt.about is not None)
+        assert doubt.words.startswith(f"the chains {'disagree' if serious else 'agree'} about")
+        assert "e+" not in doubt.words  # "1e+03 mm"
+
+
+def test_not_more_is_asked_for_than_what_would_be_trusted():
+    """22 effective draws of 400 asked for 14,000 of each chain, of which 2,500 end trusted."""
+    values = chains(0.9, 200, np.random.default_rng(5))
+    row = {**parameter_rows(["box_1.width"], values)[0], "r_hat": 1.075, "ess_bulk": 22.0}
+    (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [row])
+    assert doubt.serious and "--draws 2300 would do" in doubt.words
+    assert enough_draws([row]) == 3800  # for an R-hat of 1.01
+    almost = {**row, "draws": np.zeros((2, 1000)), "r_hat": 1.0104, "ess_bulk": 700.0}
+    (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [almost])
+    assert not doubt.serious and "R-hat 1.0104 (good up to 1.01)" in doubt.words  # no "R-hat 1.010" is above 1.01
 
 
 def test_chains_that_disagree_about_an_object_say_nothing_of_others():
