@@ -39,7 +39,7 @@ class Found(NamedTuple):
         from derender.scene.priors.reading import is_drawn
 
         if self.posterior is not None:
-            return len(self.posterior.parts) > 1 or self.posterior.best_part.log_density.size > 1
+            return self.posterior.uncertain
         return self.prior is not None or any(is_drawn(vertex.options) for vertex in self.graph.vertices)
 
     def draws(self, rng: "np.random.Generator", count: int) -> "Iterator[SceneGraph]":

@@ -260,10 +260,10 @@ def _lines(found: Any) -> Iterator[Any]:
         yield f"{name} says otherwise: {word}"
     if found["margin"] is not None:
         yield f"margin {found['margin']:.3f} g"
-    if found["draws"] > 1:
-        missed = told_of_missed(found)
-        yield (f"P(stable) = {found['p_stable']:.3f} ± {found['p_stable_error']:.3f} over {found['draws']} draws"
-               + (f"; {missed}" if missed else ""))  # fmt: skip
+    missed = told_of_missed(found)
+    if found["draws"] > 1 or missed:
+        drawn = f" ± {found['p_stable_error']:.3f} over {found['draws']} draws" if found["draws"] > 1 else ""
+        yield f"P(stable) = {found['p_stable']:.3f}{drawn}" + (f"; {missed}" if missed else "")
         yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())
     rows = [
         [name, number_or_dash(1000 * found["displacement"].get(name, np.nan), ".1f"),

@@ -16,7 +16,7 @@ from derender.interface.posterior import MOST_DRAWS, Posterior
 from derender.interface.scene import Scene
 from derender.interface.words import in_python, in_pythons_words
 from derender.physics.intervention import intervention
-from derender.physics.outcome import Chance, probability, simulate_scene
+from derender.physics.outcome import chance_of_one, probability, simulate_scene
 from derender.posterior.forward import HEIGHT, WIDTH, draw_documents, observe
 from derender.registry import only_its_keywords
 from derender.render.renderers import find_renderer
@@ -287,8 +287,8 @@ def simulate(
     acts = Acts(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
     once = intervention(**acts)._replace(jitter=None)
     best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=early)
-    chance = Chance(float(best.stable), 0.0, 1)
-    if draws and (posterior is not None or jitter):
+    chance = chance_of_one(best.stable, missed=0.0 if posterior is None else posterior.missed)
+    if draws and (jitter or (posterior is not None and posterior.uncertain)):
         run = How(engine=engine, duration=duration, jobs=jobs, **acts)
         if posterior is not None:
             chance = posterior.probability("stands", draws=draws, until=until, seed=seed, **run)

@@ -169,6 +169,11 @@ def chance_of(happened: Sequence[bool], before: float = 0.5, missed: float = 0.0
     return Chance(centred + missed * (before - centred), (1 - missed) * error, count)
 
 
+def chance_of_one(happens: bool, before: float = 0.5, missed: float = 0.0) -> Chance:
+    """Return how probable something is that happens in the only scene there is, unless that was missed."""
+    return Chance(happens + missed * (before - happens), 0.0, 1)
+
+
 def probability(
     scenes: Iterable["SceneGraph | Matter"],
     event: Callable[[Outcome], bool] | str,
@@ -262,9 +267,10 @@ def assumed_of_draws(runs: Sequence[Outcome]) -> list[str]:
 # Draws that each verdict is worth beforehand, one in all, so that no verdict is surer than the draws can make it.
 BEFORE = {STANDS: 0.5, SETTLES: 0.25, FALLS: 0.25}
 LEAST_TOLD = 0.01  # of a probability that is said with two digits
+# As `summary_of` names them: p_verdict_settles, p_verdict_falls are of the scene, p_falls of each of its objects.
 COLUMNS = (
-    "scene", "verdict", "stable", "p_stable", "p_stable_error", "margin", "fallen", "mujoco", "statics", "assumed",
-    "fault",
+    "scene", "verdict", "stable", "p_stable", "p_stable_error", "p_verdict_settles", "p_verdict_falls", "draws",
+    "missed", "margin", "fallen", "p_falls", "mujoco", "statics", "assumed", "fault",
 )  # fmt: skip
 
 
@@ -278,7 +284,9 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
     """
 
     def chance(alone: bool, drawn: Sequence[bool], word: str) -> Chance:
-        return chance_of(drawn, BEFORE[word], missed) if len(runs) > 1 else Chance(float(alone), 0.0, 1)
+        if len(runs) > 1:
+            return chance_of(drawn, BEFORE[word], missed)
+        return chance_of_one(alone, BEFORE[word], missed)
 
     stable = chance(best.stable, [run.stable for run in runs], STANDS)
     found: dict[str, Any] = {
@@ -297,7 +305,7 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
         "first_moved": best.first_moved,
         "assumed": list(assumed),
         "draws": len(runs),
-        "missed": missed if len(runs) > 1 else 0.0,
+        "missed": missed,
     }
     for body in best.matter.bodies:
         if body.kind == "plane":
@@ -332,6 +340,7 @@ def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     if "fault" in found:
         return row
     words = {"fallen": " ".join(found["fallen"]), "assumed": "; ".join(found["assumed"])}
+    words |= {f"p_verdict_{word}": found["p_verdict"][word] for word in (SETTLES, FALLS)}
     return row | words | dict(found["engines"])
 
 

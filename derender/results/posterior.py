@@ -170,6 +170,11 @@ class Posterior:
         return self.best_part.best()[0]
 
     @property
+    def uncertain(self) -> bool:
+        """Whether its draws differ."""
+        return len(self.parts) > 1 or self.best_part.log_density.size > 1
+
+    @property
     def missed(self) -> float:
         """How probable it is that a search has found none of the structures that are there."""
         return max(1.0 - sum(part.weight for part in self.parts), 0.0)

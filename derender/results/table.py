@@ -99,7 +99,8 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def as_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) -> str:
-    """Return rows as CSV with a header; lists are joined by semicolons, true and false are in small letters."""
+    """Return rows as CSV with a header; lists are joined by semicolons, true and false are in small letters, numbers
+    by name are "name=number" with spaces between."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -110,6 +111,8 @@ def as_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) 
 def _cell(value: Any) -> Any:
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={number:.{DIGITS}g}" for key, number in value.items() if number is not None)
     return "; ".join(value) if isinstance(value, list | tuple) else value
 
 

@@ -1,5 +1,6 @@
 """The commands that judge and show: as a person types them, on scenes and on a posterior made by hand."""
 
+import csv
 import json
 import shutil
 
@@ -83,6 +84,13 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     status, _, talk = run(capsys, "simulate", "stands.yaml", "missing.yaml", "-o", "t.csv")
     rows = (folder / "t.csv").read_text().splitlines()
     assert status == 1 and rows[0].startswith("scene,verdict") and len(rows) == 3 and "no such file" in rows[2]
+    run(capsys, "simulate", "stands.yaml", "falls.yaml", "--jitter", "2mm,1deg", "--draws", "6", "-o", "t.csv")
+    shaken, fell = csv.DictReader((folder / "t.csv").open())
+    assert fell["draws"] == "6" and float(fell["p_verdict_falls"]) > 0.8 > 0.2 > float(shaken["p_verdict_falls"])
+    assert float(fell["p_stable"]) + float(fell["p_verdict_settles"]) + float(fell["p_verdict_falls"]) == pytest.approx(
+        1
+    )
+    assert fell["p_falls"].startswith("low=0.0") and " top=0.89" in fell["p_falls"]
     assert run(capsys, "simulate", "falls.yaml", "--animate", "fall.glb", "--duration", "0.3")[0] == 0
     assert b'"animations"' in (folder / "fall.glb").read_bytes()
     assert "over 3 draws" in run(capsys, "simulate", "stack", "--draws", "3")[1]
