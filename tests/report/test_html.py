@@ -129,6 +129,16 @@ def test_what_the_posterior_predicts_is_shown_where_draws_tell_it(report):
     assert "Nothing speaks against this scene" in text
 
 
+def test_the_picture_of_the_residual_is_of_the_misfit_beside_the_verdict(report):
+    """A page said that the median misfit is 1.1 mm, and over its picture that it is 3.6 mm."""
+    seen, background = report.observed, np.zeros(report.observed.shape, bool)
+    background[:, :50] = True  # taken as it was seen: that fits whatever it is, and says nothing of the scene
+    fit = SimpleNamespace(depth=np.where(background, seen, seen + 0.004), background=background, share=0.9,
+                          noise=SimpleNamespace(sigma=0.001))  # fmt: skip
+    text = page(report._replace(fit=fit))
+    assert "median misfit 4.0 mm" in text and "(median |r| 4.0 mm)" in text
+
+
 def test_what_a_probability_counts_for_what_was_missed_is_told(report):
     told = {"verdict": "stands", "p_stable": 0.93}
     assert "P(stable) 0.93 (half of the .10 that" in page(report._replace(simulated=told | {"missed": 0.1}))
