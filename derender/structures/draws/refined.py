@@ -266,7 +266,7 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     ways = [-FARTHER, FARTHER] if changes_blur(sensor) and sensor.values.get("outlier", 1.0) > RATES[0] else []
     while ways:
         way = ways.pop()
-        sensor = found.sensor.changed(blur=max(found.sensor.values["blur"] + way, 0.0))
+        sensor = found.sensor.blurred(way)
         trial = refitted(climb(rng, found.state, found.chart, found.values.copy(), sensor, ANNEALING, None, ()))
         if height(trial) > height(found) + HIGHER:
             found, ways = trial, [way]
@@ -289,7 +289,7 @@ def at_its_blur(rng: np.random.Generator, refined: Refined, members: list[int] |
         way = np.sign(wanted.values["blur"] - held)
         if way == 0.0:
             break
-        sensor = wanted.changed(blur=max(held + way * step, 0.0))
+        sensor = wanted.changed(blur=held).blurred(way * step)
         trial = climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, FOLLOWED, members, ())
         if height(trial) > height(refined):
             refined = trial

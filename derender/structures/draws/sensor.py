@@ -94,6 +94,10 @@ class Sensor(NamedTuple):
         beside = self.beside if same and self.beside is not None else likelihood.beside(self.observed, numbers)
         return self._replace(likelihood=likelihood, values=numbers, beside=beside)
 
+    def blurred(self, more: float) -> "Sensor":
+        """Return the sensor with a blur that is wider by so many pixels, as far as likelihoods allow it."""
+        return self.changed(blur=min(max(self.values["blur"] + more, 0.0), MOST_BLUR))
+
     def clean(self, chart: Chart, values: np.ndarray) -> np.ndarray:
         """Return the clean depth (H, W) of a chart's solids in this view, with its likelihood's wall behind."""
         return model_depth(chart, values, self.camera, self.into, self.values.get("background", BACKGROUND))
