@@ -60,7 +60,7 @@ def _misfit(report: Report) -> str:
     """Return how well the scene fits the image, in a line: it stands beside the verdict."""
     if report.fit is None or report.observed is None:
         return ""
-    off = np.abs(report.observed - explained_depth(report))
+    off = np.abs(report.observed - explained_depth(report, report.fit.predicted))
     off = off[np.isfinite(off)]
     median = f", median misfit {1000 * np.median(off):.1f} mm" if off.size else ""
     noise = f" (flat patches show a noise of {1000 * report.fit.noise.sigma:.1f} mm)" if median else ""
@@ -98,7 +98,7 @@ def _structures(report: Report) -> str:
         f'<tr><td class="number">{escape(weight)}</td><td>{escape(words)}</td></tr>'
         for _, weight, words in report.structures[:MOST_STRUCTURES]
     )
-    head = '<tr><th class="number">weight</th><th>structure</th></tr>'
+    head = '<tr><th class="number">probability</th><th>structure</th></tr>'
     return wide(f'<table class="narrow">{head}{rows}</table>', "structures")
 
 
@@ -168,8 +168,8 @@ def depth_pictures(report: Report) -> str:
     """Return the pictures of a report's image and of what explains it, as HTML; none without a camera."""
     if report.camera is None:
         return ""
-    _, label = render_depth(report.solids, report.camera)
-    explained = explained_depth(report)
+    clean, label = render_depth(report.solids, report.camera)
+    explained = explained_depth(report, clean)
     objects = [(name, label == index) for index, name in enumerate(report.solid_names)
                if report.solids.kind[index] != kinds.PLANE]  # fmt: skip
     near = np.isin(label, np.flatnonzero(report.solids.kind != kinds.PLANE))
@@ -200,11 +200,14 @@ def depth_pictures(report: Report) -> str:
     ) + _predictive(report, report.observed)
 
 
-def explained_depth(report: Report) -> np.ndarray:
-    """Return the depth (H, W) that the best scene explains, NaN where nothing does or background was taken as seen."""
+def explained_depth(report: Report, clean: np.ndarray) -> np.ndarray:
+    """Return the depth (H, W) that the best scene explains, NaN where nothing does or background was taken as seen.
+
+    clean : (H, W) metres, of its solids, which tells it where nothing is known of how well they fit.
+    """
     if report.fit is not None:
         return np.where(report.fit.background, np.nan, report.fit.depth)
-    return as_compared(render_depth(report.solids, report.camera)[0], report.likelihood)
+    return as_compared(clean, report.likelihood)
 
 
 def side_by_side(title: str, *figures: str) -> str:

@@ -134,7 +134,7 @@ def test_the_picture_of_the_residual_is_of_the_misfit_beside_the_verdict(report)
     seen, background = report.observed, np.zeros(report.observed.shape, bool)
     background[:, :50] = True  # taken as it was seen: that fits whatever it is, and says nothing of the scene
     fit = SimpleNamespace(depth=np.where(background, seen, seen + 0.004), background=background, share=0.9,
-                          noise=SimpleNamespace(sigma=0.001))  # fmt: skip
+                          noise=SimpleNamespace(sigma=0.001), predicted=seen)  # fmt: skip
     text = page(report._replace(fit=fit))
     assert "median misfit 4.0 mm" in text and "(median |r| 4.0 mm)" in text
 
