@@ -253,13 +253,14 @@ class Posterior(kept.Posterior):
         """Draw length, width and height of each object with their 90 % ranges into matplotlib axes, and return them."""
         axes, objects = axes_for(ax), self.objects
         places = np.arange(len(objects))
+        sizes, errors = (1000 * np.array([getattr(found, name) for found in objects]).reshape(-1, len(SIDES))
+                         for name in ("size", "size_error"))  # fmt: skip
         for number, side in enumerate(SIDES):
-            sizes = [1000 * found.size[number] for found in objects]
-            errors = [1000 * found.size_error[number] for found in objects]
-            axes.errorbar(places + 0.2 * (number - 1), sizes, errors, fmt="o", capsize=3, label=side)
+            told = sizes[:, number], errors[:, number]
+            axes.errorbar(places + 0.2 * (number - 1), *told, fmt="o", capsize=3, label=side)
         axes.set_xticks(places, [found.name for found in objects], rotation=30, ha="right")
-        axes.set_ylabel("mm, 90 % range")
-        axes.set_ylim(bottom=0)
+        axes.set_ylabel("mm, 90 % range" if np.isfinite(errors).any() else "mm")
+        axes.set_ylim(0, 1.1 * np.max(sizes + np.nan_to_num(errors), initial=1.0))
         axes.legend()
         return axes
 

@@ -344,7 +344,19 @@ def test_plots_go_into_ones_own_axes(posterior):
     drawn = [bar.get_width() for bar in axes[2].patches]
     assert drawn == pytest.approx([each.probability for each in posterior.structures][: len(drawn)])
     assert posterior.best.plot_depth().has_data()
+    largest = max(1000 * (found.size + found.size_error).max() for found in posterior.objects)
+    assert axes[1].get_ylim() == (0, pytest.approx(1.1 * largest))  # no marker lies on the frame
+    quick = replace(posterior, parts=(best_alone(posterior),))
+    assert axes[1].get_ylabel() == "mm, 90 % range"
+    assert quick.plot_sizes().get_ylabel() == "mm"  # a lone draw has no range
     plt.close("all")
+
+
+def best_alone(posterior):
+    """Return the best draw as a part whose sizes are unknown, as a quick look has it."""
+    part = posterior.best_part.best_only()
+    sides = tuple(f"{name}.side" for name in ("green", "red", "yellow"))
+    return replace(part, addresses=sides, values=np.full((1, 1, 3), 0.1), periods=(None,) * 3)
 
 
 @pytest.mark.parametrize(("wide", "high", "count"), [(6.4, 4.8, 1), (6.4, 4.8, 12), (3.0, 3.0, 2)])
