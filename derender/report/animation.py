@@ -76,7 +76,8 @@ def write_animation(path: str | Path, pictures: list[np.ndarray]) -> None:
         return
     pause = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
     with atomic_path(path) as temporary:
-        imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=pause, loop=0)
+        shown = pause if len(pause) > 1 else pause[0]  # of one picture Pillow takes no list
+        imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=shown, loop=0)
 
 
 def film_writer(path: str | Path) -> str:

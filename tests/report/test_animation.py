@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from on_floor import cube, on_floor
+from PIL import Image
 
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
@@ -34,3 +35,12 @@ def test_an_ffmpeg_that_fails_is_one_line(tmp_path, monkeypatch):
     with pytest.raises(DerenderError, match="ffmpeg failed: exit status 1"):
         write_animation(tmp_path / "x.mp4", [np.zeros((4, 4, 3), np.uint8)] * 2)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_film_of_one_picture_is_one(tmp_path, suffix, count):
+    """simulate --animate with a --duration of less than a picture's ended in a traceback."""
+    write_animation(tmp_path / f"film{suffix}", [np.full((8, 8, 3), 60 * k, np.uint8) for k in range(count)])
+    with Image.open(tmp_path / f"film{suffix}") as film:
+        assert film.n_frames == count and film.size == (8, 8)
