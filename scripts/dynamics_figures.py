@@ -152,7 +152,7 @@ def film_row(kind, seed, sensor):
 
 def numbers_of(materials):
     """Return {parameter: value} of what a film was made with; `mass_ratio` is that of box_2 to box_1."""
-    found = {name: materials[name] for name in ("friction", "restitution") if materials[name] is not None}
+    found = {name: materials[name] for name in ("friction", "restitution")}
     masses = materials["masses"]
     if {"box_1", "box_2"} <= set(masses):
         found["mass_ratio"] = masses["box_2"] / masses["box_1"]

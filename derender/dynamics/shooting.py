@@ -11,6 +11,7 @@ linear in the states, these integrate out: that is the marginal likelihood of th
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import cho_solve, solve_triangular
 
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
@@ -43,7 +44,8 @@ LEAST_POSITION, LEAST_ROTATION = 2e-4, 2e-3
 LOST = 22.5
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
 RESTS = 0.02
-# What slides tells friction by how it is slowed over so many frames: in fewer, when it begins or stops is as unknown.
+# What slides tells friction by how it is slowed over so many frames on end: in fewer, when it begins or stops is as
+# unknown.
 SLID = 3
 # Where nothing moved by more than this from one frame to the next, and nothing is faster, all stays as it is: metres
 # and m / s (turns by the size). What begins to slide at a hundredth of gravity is faster after one frame.
@@ -190,11 +192,11 @@ class Shooting(Impacts):
         """Return whether a body slides for long enough to tell friction.
 
         What sticks where it lands, or rolls, only says that it is great enough, and what it seems to tell is how
-        corners rattle; so does what tumbles over its edge, which slips for a moment.
+        corners rattle; so does what tumbles over its edge, which slips for a moment, and perhaps for another later.
         """
         friction = self.parameters.material(path.coordinates).friction
         slides = self.engine.slides(path.states[:-1], path.arrived[1:], friction)
-        return bool((slides.sum(axis=0) >= SLID).any())
+        return len(slides) >= SLID and bool(sliding_window_view(slides, SLID, axis=0).all(axis=-1).any())
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""

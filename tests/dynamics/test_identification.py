@@ -114,7 +114,8 @@ def test_a_slide_tells_friction_and_nothing_of_restitution():
 
 def test_only_what_slides_for_some_frames_tells_friction():
     """A box that lands flat and sticks told .34 to .49 of a friction of .27: how its corners rattled. One that tumbled
-    and slipped on its edge for a frame told 1.5 to 2.9 of .66, and one that stopped after two .55 to .63."""
+    and slipped on its edge for a frame told 1.5 to 2.9 of .66, and one that stopped after two .55 to .63. One that slid
+    for two frames, and slipped for another two as it tumbled, told .32 to .44 of .58."""
     box = Body("box", "box", np.full(3, 0.1), np.eye(4))
     engine = Engine(Matter((FLOOR, box), np.array([0, 0, -GRAVITY]), ()), ("box",), STEP)
     parameters = Parameters(("box",), engine.masses, read_dynamics_prior())
@@ -126,6 +127,9 @@ def test_only_what_slides_for_some_frames_tells_friction():
         film = motion(box, seen[:, 0, :3], np.random.default_rng(4))
         shooting = Shooting(film, parameters, engine)
         path = shooting.first_path(np.array([np.log(0.27), 0.3, np.log(0.003)]))
+        assert shooting.slides(path) == slides
+    for shown, slides in (("110110011", False), ("10111", True)):  # slips now and then tell nothing, one slide does
+        shooting.engine.slides = lambda *_, shown=shown: np.array([[c == "1"] for c in shown])
         assert shooting.slides(path) == slides
 
 
