@@ -12,6 +12,7 @@ import numpy as np
 
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, moved
+from derender.tracking.contact import gaps_of
 from derender.tracking.fit import RIGID
 from derender.tracking.thing import GONE, MOVING, STILL
 from derender.tracking.tracker import is_quiet, rotation_between
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 SWEEPS = 2  # over all frames, there and back; sizes are learnt between them
 ROOM = np.repeat([0.010, 0.10], 3)  # metres and radians: how far a fit is from where it begins
 GROWTH = 0.003  # metres that a size changes by in one frame's fit
+# A thing stands where its foot is within so many metres of the floor or another thing, and so level (cosine). How high
+# it is no outline tells then: a foot that sinks changes no image, one that rises shows a gap, which noise now and then
+# fits, and over a film heights became .5 to .9 mm too small. They are held, within so many metres.
+FOOT, LEVEL, HELD = 0.003, 0.998, 1e-5
 
 
 class Fit(NamedTuple):
@@ -107,7 +112,8 @@ class Smoother:
         it drawn where it is likelier."""
         tracker, thing, index = self.tracker, self.tracker.things[k], self.tracker.planes + k
         count = len(thing.ties)
-        information = np.diag(np.concatenate([ROOM, np.full(count, GROWTH)]) ** -2)
+        stands = self._stands(t, k)
+        information = np.diag(np.concatenate([ROOM, np.where(stands, HELD, GROWTH)]) ** -2)
         beside = [s for s in (t - 1, t + 1) if 0 <= s < len(self.rows) and self.states[s, k] != GONE]
         others = [self.poses[s, k] for s in beside if MOVING in (self.states[s, k], self.states[t, k])]
         if len(others) == 2:
@@ -129,8 +135,20 @@ class Smoother:
             told = image[RIGID:, RIGID:] - across @ np.linalg.solve(whole[:RIGID, :RIGID], across.T)
             step = (tracker.sizes[index] - thing.size) @ thing.ties.T / thing.ties.sum(axis=1)
             grown = (told + information[RIGID:, RIGID:]) @ step  # what it was held back by is no news
+            told[stands], told[:, stands], grown[stands] = 0.0, 0.0, 0.0
         tracker.draw(k, thing.pose)
         return Fit(thing.pose, tracker.turned(curvature, back=True), told, grown)
+
+    def _stands(self, t: int, k: int) -> np.ndarray:
+        """Return which of the numbers of thing k's size (G,) are its height alone, where it stands in frame t."""
+        tracker, thing, pose = self.tracker, self.tracker.things[k], self.poses[t, k]
+        if tracker.floor is None:
+            return np.zeros(len(thing.ties), bool)
+        sizes = np.array([each.size for each in tracker.things])
+        kinds = np.array([each.kind for each in tracker.things])
+        level = np.abs(tracker.floor[:3, 2] @ pose[:3, :3]) > LEVEL
+        stands = gaps_of(self.poses[t], sizes, kinds, tracker.floor)[k].min() < FOOT
+        return stands & (thing.ties @ ~level == 0.0)
 
     def _rest(self, k: int, fits: list[Fit | None]) -> None:
         """Give thing k one pose wherever it rests; the first and last frames of a rest that are off it move."""

@@ -90,3 +90,14 @@ def test_a_film_costs_what_its_images_cost_as_they_are_drawn_in_the_end():
             assert drawn < found.cost()
         else:
             assert found.cost() == pytest.approx(drawn, abs=1e-3)
+
+
+def test_how_high_a_thing_is_that_stands_outlines_of_its_foot_do_not_tell():
+    """A foot that sinks into the floor changes no image: only noise that shows a gap told heights, as too small."""
+    frames, poses = slide(2)
+    found = followed(frames, start(["box"], [SIZE], poses[0]))
+    smoother = Smoother(found, frames)
+    smoother._place(6)
+    assert smoother._fit(6, 0, True).told[2].tolist() == [0.0, 0.0, 0.0]
+    smoother.poses[6, 0, :3, 3] += 0.02 * films.view()[:3, 2]  # in the air its foot is an outline like others
+    assert smoother._fit(6, 0, True).told[2, 2] > 0.0
