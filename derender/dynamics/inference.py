@@ -258,8 +258,9 @@ def sample(
     modes: Sequence[Mode],
     rng: np.random.Generator,
     draws: int = DRAWS,
+    struck: bool = False,
 ) -> Draws:
-    """Return weighted draws by adaptive importance sampling.
+    """Return weighted draws by adaptive importance sampling; struck : whether the film has impacts, see `_tempered`.
 
     Each round proposes from a mixture of t distributions and the prior; the first round's t are about the modes, later
     ones have the mean and covariance of the weighted draws so far. A draw's weight is the target's density over that of
@@ -293,7 +294,8 @@ def sample(
         target = np.concatenate([target, [density(point[:size], point[size:]) for point in fresh]])
         log_weights = target - _mixture(points, rounds, parameters)
     flat, power = _flattened(log_weights)
-    return Draws(_tempered(points[:, :size], np.exp(flat), power, parameters), points[:, size:], flat, power)
+    share = power**2 if struck else power
+    return Draws(_tempered(points[:, :size], np.exp(flat), share, parameters), points[:, size:], flat, power)
 
 
 def _flattened(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
@@ -312,6 +314,10 @@ def _tempered(points: np.ndarray, weights: np.ndarray, power: float, parameters:
 
     Weights raised to it alone leave them as wide as what proposed them, which is as wide as one film allows. Each
     coordinate gets the mean and width of a normal posterior whose likelihood counts so much beside the whole prior.
+
+    Of films with impacts that is the power's square: chaos of s nats moves a likelihood's peak by sqrt(2 s) deviations,
+    beside what it hides of its width. By the power alone two of seven films of toppling boxes told restitutions of .19
+    to .40 and .17 to .44 where .13 was true.
     """
     mean = weights @ points
     told, before = weights @ (points - mean) ** 2, parameters.spread() ** 2
@@ -353,7 +359,7 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     parameters = Parameters(motion.names, engine.masses, prior or read_dynamics_prior())
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
-    found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
+    found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws, shooting.struck)
     told = shooting.tells(modes[0].path)
     told[0] = shooting.slides(modes[0].path)
     if shooting.struck and found.power < CHAOTIC:

@@ -244,17 +244,18 @@ def test_the_more_rugged_a_density_is_the_nearer_its_answer_is_to_the_prior():
     """Of films of stacked boxes a few happened to fit: the answer was as narrow as one film, and did not hold."""
     parameters = Parameters(("box",), np.ones(1), read_dynamics_prior())
 
-    def spread(chaos):
+    def spread(chaos, struck=False):
         def density(coordinates, logarithms):
             prior = parameters.log_prior(coordinates) + parameters.prior.log_density_of_scales(logarithms)
             jump = np.random.default_rng(crc32(coordinates.tobytes())).standard_normal()
             return prior - 0.5 * np.sum(((coordinates[:2] - [-1.05, 0.4]) / 0.05) ** 2) + chaos * jump
 
-        found = sample(density, parameters, [Mode([-1.0, 0.4, -5.9], 0.02)], np.random.default_rng(0))
+        found = sample(density, parameters, [Mode([-1.0, 0.4, -5.9], 0.02)], np.random.default_rng(0), struck=struck)
         weights = np.exp(found.log_weights)
         return np.sqrt(weights @ (found.coordinates - weights @ found.coordinates) ** 2)[0]
 
     assert 0.035 < spread(0.0) < 0.075 and spread(20.0) > 0.15  # nats; .06 to .09 when weights alone were raised
+    assert spread(20.0, struck=True) > 2 * spread(20.0)  # impacts that fit by chance: the peak is another, too
 
 
 def test_a_film_sets_out_with_the_speed_of_its_first_frame_and_not_with_a_mean_over_frames():
