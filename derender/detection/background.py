@@ -5,6 +5,8 @@ so that its top is not seen, or that floats, or lies beyond the support's outlin
 room behind: explained as it is seen, and no solid. A wall is an upright plane that ends the floor, with nothing of the
 image behind it.
 
+Images are upright here: what is up lies towards their first row, as `quarter_turns` has it.
+
 All lengths here are counted in metres as they would be were the floor seen from `USUAL` metres (`floor.scale_of`):
 what is long on a desk is short in a hall.
 """
@@ -43,7 +45,24 @@ LARGE = 0.02  # share of the pixels with a depth: what shows in less, cut off by
 SIDES = 0.5  # level part of the unit sight line, from which on sides show at more than half of their height
 FLAT, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level top with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
+FROM_ABOVE = 0.1  # level part of the floor's normal, in the image, below which no way in the image is up
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
+
+
+def quarter_turns(normal: np.ndarray) -> int:
+    """Return by how many quarter turns, as of `numpy.rot90`, an image is upright whose floor has this normal (3,) in
+    camera axes: phones are held in portrait, and what stands is told by what shows below it."""
+    across, up = float(normal[0]), -float(normal[1])
+    if np.hypot(across, up) < FROM_ABOVE:
+        return 0
+    if abs(across) > abs(up):
+        return 1 if across > 0.0 else 3
+    return 2 if up < 0.0 else 0
+
+
+def turned(array: np.ndarray, times: int) -> np.ndarray:
+    """Return an array (H, W, ...) turned by quarter turns."""
+    return np.ascontiguousarray(np.rot90(array, times))
 
 
 def standing_bodies(

@@ -147,6 +147,11 @@ class SeenSurface(NamedTuple):
         points, good, *lengths = self
         return SeenSurface(points / metres, good, *(each / metres for each in lengths))
 
+    def turned(self, times: int) -> "SeenSurface":
+        """Return the surface as an image of it shows it that is turned by quarter turns, see `numpy.rot90`."""
+        points, good, footprint, jump = (np.ascontiguousarray(np.rot90(each, times)) for each in self[:-1])
+        return SeenSurface(points, good, footprint, jump, self.origin)
+
     def normals(self, mask: np.ndarray) -> np.ndarray:
         """Return (H, W, 3) the normals at the pixels of a mask (H, W), by these alone; zero where there is none."""
         return local_planes(self.points, mask, self.origin, self.jump, 2)[0]

@@ -7,12 +7,13 @@ primitive costs what the search asks for it, and its misfit. So a box that fits 
 bowl is not eight of them.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.background import cut_short, frame_seen, is_background
+from derender.detection.background import cut_short, frame_seen, is_background, quarter_turns, turned
 from derender.detection.floor import near
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
@@ -314,15 +315,17 @@ def without_background(
     good = image.weight > 0
     if not seen.mask.any():
         return seen, state, masks
-    frame = frame_seen(good)
+    upright = partial(turned, times=quarter_turns(seen.floor.pose[:3, 2]))
+    frame = frame_seen(upright(good))
     label, misfit = held_out(image, state, -1)[1:3]
-    behind, gone = seen.behind, np.zeros(good.shape, bool)
-    normal = seen.surface.normals(good)
-    surface, beyond = seen.surface.in_units_of(seen.floor_scale), seen.beyond / seen.floor_scale
+    behind, gone = upright(seen.behind), np.zeros(good.shape, bool)
+    normal, beyond = upright(seen.surface.normals(good)), upright(seen.beyond / seen.floor_scale)
+    surface = seen.surface.in_units_of(seen.floor_scale).turned(upright.keywords["times"])
     fills = seen.floor.inliers.sum() < HIDDEN_FLOOR * good.sum()
 
     def goes(mask):
-        return not fills and mask.sum() >= FEWEST and is_background(surface, mask, normal, behind, beyond, frame)
+        few = mask.sum() < FEWEST
+        return not fills and not few and is_background(surface, upright(mask), normal, behind, beyond, frame)
 
     keep, shown = set(), good & (misfit < LIMIT)
     things = np.any([gone, *masks], axis=0)
@@ -350,11 +353,12 @@ def without_background(
         else:
             left.append(mask)
     kept = subset(state, keep)
-    cut = [mask for mask in cut if mask.sum() >= FEWEST and cut_short(surface, mask, normal, beyond, frame)]
+    cut = [mask for mask in cut
+           if mask.sum() >= FEWEST and cut_short(surface, upright(mask), normal, beyond, frame)]  # fmt: skip
     told = [existence_of(seen, kept, mask, settings, shows_below(seen, kept, mask))[0] for mask in cut]
     clutter = [(mask, CUT_SHORT * probability) for mask, probability in zip(cut, told, strict=True)]
     image.floor[gone] = image.depth[gone]
-    return seen._replace(behind=behind | gone, clutter=(*seen.clutter, *clutter)), kept, left
+    return seen._replace(behind=seen.behind | gone, clutter=(*seen.clutter, *clutter)), kept, left
 
 
 def silhouette(image: Image, state: State, k: int) -> np.ndarray:

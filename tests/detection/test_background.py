@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
+from derender.camera.intrinsics import Camera
 from derender.detection.background import (
     along_edge,
     cut_off,
@@ -23,8 +24,8 @@ from derender.scene.solids import BOX, PLANE, Solids
 from worlds.frontier_scenes import KINDS, make
 
 
-def told_apart(solids, table=TABLE):
-    """Return (Observation, label (H, W) of the solids behind it) of boxes (x, y, bottom, size) about the table."""
+def scene_of(solids, table=TABLE):
+    """Return (depth, label of the solids), (H, W), of boxes (x, y, bottom, size) about the table."""
     poses, sizes = [table], [np.zeros(3)]
     for x, y, bottom, size in solids:
         pose = np.eye(4)
@@ -33,7 +34,12 @@ def told_apart(solids, table=TABLE):
     kinds = np.array([PLANE] + [BOX] * len(solids), np.int32)
     scene = Solids(kinds, np.array(poses), np.array(sizes), np.full(len(kinds), -1, np.int32))
     depth, label = render_depth(scene, CAMERA)
-    depth = depth + SIGMA * np.random.default_rng(0).standard_normal(depth.shape)
+    return depth + SIGMA * np.random.default_rng(0).standard_normal(depth.shape), label
+
+
+def told_apart(solids, table=TABLE):
+    """Return (Observation, label (H, W) of the solids behind it) of boxes (x, y, bottom, size) about the table."""
+    depth, label = scene_of(solids, table)
     return observe(depth, CAMERA), label
 
 
@@ -50,6 +56,21 @@ def test_a_carton_stands_on_the_table_and_clutter_does_not(clutter):
     assert seen.mask[label == 1].mean() > 0.9
     assert seen.mask[label == 2].mean() < 0.1
     assert seen.behind[label == 2].mean() > 0.9
+
+
+@pytest.mark.parametrize("times", [1, 2, 3])
+def test_what_stands_is_told_by_what_is_below_it_however_the_camera_was_held(times):
+    """A phone in portrait: what hung in the air stood on the floor, for it was looked for beside it."""
+    clutter = (0.15, 0.1, 0.2, (0.12, 0.1, 0.05))
+    depth = scene_of([CARTON, clutter])[0]
+    numbers = {"fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy}
+    for _ in range(times):
+        numbers.update(cx=numbers["cy"], cy=CAMERA.width - 1 - numbers["cx"] if len(depth) == CAMERA.height else
+                       CAMERA.height - 1 - numbers["cx"])  # fmt: skip
+        depth = np.ascontiguousarray(np.rot90(depth))
+    turned = observe(depth, Camera(**numbers, width=depth.shape[1], height=depth.shape[0]))
+    upright = observe(scene_of([CARTON, clutter])[0], CAMERA)
+    assert (np.rot90(turned.mask, -times) != upright.mask).mean() < 0.002
 
 
 @pytest.mark.parametrize(("aside", "bottom", "whole"), [(0.0, 0.08, True), (0.1, 0.08, False), (0.0, 0.2, False)])

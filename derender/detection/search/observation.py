@@ -7,7 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
-from derender.detection.background import beyond_outline, main_part, standing_bodies, walls_behind
+from derender.detection.background import (
+    beyond_outline,
+    main_part,
+    quarter_turns,
+    standing_bodies,
+    turned,
+    walls_behind,
+)
 from derender.detection.floor import (
     GRAZING,
     MOST_NOISE,
@@ -350,7 +357,9 @@ def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, bac
     mask = above & inside & ~beyond
     if floor.inliers.any():
         surface, real = SeenSurface.of(there, good, wide, rough, eye), correlation > CORRELATED
-        mask = standing_bodies(surface, above & ~beyond, beyond_edge / scale, held, floating, real)
+        turns = quarter_turns(floor.pose[:3, 2])
+        over, edge, fast = (turned(each, turns) for each in (above & ~beyond, beyond_edge / scale, held))
+        mask = turned(standing_bodies(surface.turned(turns), over, edge, fast, floating, real), -turns)
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask
     background = (background & ~on_wall) | beyond
