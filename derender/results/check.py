@@ -83,11 +83,11 @@ MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
 SOME_BACKGROUND, MOST_OVER = 0.05, 0.04  # shares of the valid pixels: it counts; a region over the floor is too much
 RIM = 0.03  # metres within the outline of the floor that is seen: there the walls of a bin stand
-# A floor that is none: the least share of what shows no solid (of a bin with its walls .4, of a desk in a room .3); the
-# sine of its normal's turn about the optical axis.
-LEAST_FLOOR, SIDEWAYS = 0.2, 0.6
-# The same of one that is looked at straight on (cosine) from so many metres or more: few cameras hang so high.
-LEAST_FACED, FACED, OVERHEAD = 0.6, 0.95, 1.5
+# A floor that is none: the least share of what shows no solid (of a bin with its walls .4, of a desk in a room .3).
+LEAST_FLOOR = 0.2
+# The same of one that lies as walls do: the sine of its normal's turn about the optical axis, as it is of a phone that
+# is held in portrait; or looked at straight on (cosine) from so many metres or more: few cameras hang so high.
+LEAST_AS_WALL, SIDEWAYS, FACED, OVERHEAD = 0.6, 0.6, 0.95, 1.5
 # Solids that the image does not bear out.
 MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without return; times the share elsewhere
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
@@ -178,11 +178,12 @@ def off_by_more_than_noise(spots: Sequence[Sequence[float]], fit: Fit, valid: np
 
 
 def may_be_objects(clutter: Sequence[Sequence[float]], valid: np.ndarray) -> list[Doubt]:
-    """Return doubts about what is not told though it may as well be an object."""
+    """Return doubts about what is not told though it may as well be an object: worth knowing, unless `chain_doubts`
+    expects too many."""
     likely = [(probability, place) for probability, *place in clutter if probability > MAY_EXIST]
     regions = windows([place for _, place in likely], valid)
     words = "what is seen {} is an object with a probability of {:.2f}, and is not told"
-    return [Doubt(words.format(region.where, probability), True, (region,), about=())
+    return [Doubt(words.format(region.where, probability), False, (region,), about=())
             for (probability, _), region in zip(likely, regions, strict=False)]  # fmt: skip
 
 
@@ -238,10 +239,13 @@ def no_floor(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt]:
     if planes and fit.background.any() and share < LEAST_FLOOR:
         words = f"the floor explains {percent(floor / valid.sum())} of the image only, less than the background"
         doubts.append(Doubt(words))
-    faced = [share < LEAST_FACED and -p[2, 2] > FACED and abs(p[:3, 2] @ p[:3, 3]) > OVERHEAD for p in planes]
-    if any(faced) or any(abs(pose[0, 2]) > SIDEWAYS for pose in planes):
-        how = "is looked at straight on from afar" if any(faced) else "faces sideways in the image"
-        doubts.append(Doubt(f"what was taken as the floor {how}: it may be a wall, see --up"))
+    faced = [-p[2, 2] > FACED and abs(p[:3, 2] @ p[:3, 3]) > OVERHEAD for p in planes]
+    sideways = any(abs(pose[0, 2]) > SIDEWAYS for pose in planes)
+    little, may = share < LEAST_AS_WALL, "it may be a wall, see --up"
+    if little and any(faced):
+        doubts.append(Doubt(f"what was taken as the floor is looked at straight on from afar: {may}"))
+    elif sideways:
+        doubts.append(Doubt(f"what was taken as the floor faces sideways in the image: {may}", little))
     return doubts
 
 
