@@ -15,7 +15,15 @@ from derender.detection.pyramid import reduce
 from derender.detection.search.greedy import Settings, Task, prune, rise, total_energy
 from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.proposals import Hypothesis
-from derender.detection.search.searches import Climb, crossed, explain_otherwise, explain_rest, parts
+from derender.detection.search.searches import (
+    Climb,
+    crossed,
+    explain_by_two,
+    explain_otherwise,
+    explain_rest,
+    lower_side,
+    parts,
+)
 from derender.detection.solids.image import FAR, draw, make_image, make_row
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, penetration_beyond
 from derender.detection.solids.misfit import added_misfit, misfit_map
@@ -336,6 +344,31 @@ def standing(rows):
     for row in rows:
         state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
     return state
+
+
+@pytest.mark.parametrize(("lean", "thick"), [(0.0, 0.1), (12.0, 0.03)])
+def test_one_slab_that_explains_two_things_badly_becomes_two(rng, lean, thick):
+    """A telephone that leans and the book beside it were one box in four searches of five."""
+    turned, centre = rotation_x(np.deg2rad(lean))[:3, :3], np.array([-0.12, 0.0, 0.05])
+    thing = make_row(BOX, turned, centre, np.array([0.2, 0.2, thick]))
+    book = upright(0.0, [0.1, 0.0, 0.02], [0.22, 0.2, 0.04])
+    image = view_of(rng, np.array([thing, book]))[0]
+    slab = upright(0.0, [0.0, 0.0, 0.025], [0.44, 0.2, 0.05])
+    climb = Climb(rng, Task(image, Settings()), standing([slab]))
+    explain_by_two(climb)
+    new = climb.state
+    assert len(new) == 2 and sorted(new.forms) == [UPRIGHT, FREE if lean else UPRIGHT]
+    np.testing.assert_allclose(sorted(new.rows[:, 10]), [-0.12, 0.1], atol=0.01)
+    explain_by_two(climb)
+    assert climb.state is new  # neither leaves as much as another costs
+
+
+def test_what_shows_two_planes_is_cut_where_they_meet(rng):
+    across = rng.uniform(-1.0, 1.0, 200)
+    points = np.column_stack([across, rng.uniform(-1.0, 1.0, 200), np.maximum(across - 0.3, 0.0)])
+    low = lower_side(points, across)
+    assert 0.2 < across[low].max() < across[~low].min() < 0.5
+    assert lower_side(points[:6], across[:6]) is None
 
 
 def test_each_body_of_pixels_that_nothing_explains_gets_a_proposal(rng):

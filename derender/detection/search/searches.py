@@ -30,17 +30,18 @@ from derender.detection.search.moves import (
     aligned_pairs,
     appear_on,
     merge_pair,
+    polished,
     propose,
     put_under,
     raise_support,
     stand,
 )
-from derender.detection.search.places import Places, find_places
+from derender.detection.search.places import MISFIT, Places, find_places
 from derender.detection.search.proposals import Hypothesis
-from derender.detection.solids.image import Image, blank, draw, taps_of
+from derender.detection.solids.image import Image, blank, draw, rotation_of, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
-from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, TRIED, UPRIGHT
+from derender.detection.solids.polish import FINEST, FREE, GUESSED, SETTLED, TRIED, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
@@ -84,6 +85,7 @@ UNSETTLED = 200.0  # nats that a merged solid may cost before those about it are
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 SHARED = 0.1  # of the pixels of one of two solids that both show from which on they belong to one part
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
+CUTS = np.linspace(0.1, 0.9, 17)  # shares of the pixels on one side of the cuts that are tried through what shows two
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
@@ -236,7 +238,7 @@ def one_search(
         image, _ = refocused(image, state.rows, settings.price)
     climb = Climb(rng, Task(image, settings, hypotheses), state.copy())  # the other search goes on from the same
     early.append(Found(state.copy(), climb.energy, image, []))
-    for stage in (explain_rest, repair, explain_rest, explain_otherwise):
+    for stage in (explain_rest, repair, explain_rest, explain_otherwise, explain_by_two):
         stage(climb)
     last = Climb(rng, climb.task, climb.state)  # what it tries none looks at again
     for stage in (support_all, merge_all, unite_few):
@@ -325,6 +327,64 @@ def explain_otherwise(climb: Climb) -> None:
         others = [each for each in hypotheses if (int(each.row[0]) == BOX) != was_box]
         new = greedy(climb.rng, image, others, settings, fewer)
         climb.takes((new, set(range(len(fewer), len(new)))))
+
+
+def explain_by_two(climb: Climb) -> None:
+    """Try two solids in place of each that leaves more of what it shows unexplained than another one costs, as long as
+    that helps: a telephone and the book beside it are one slab to a greedy search, and that no move at random hits on
+    both is chance."""
+    while len(climb.state) < climb.task.settings.max_objects and any(climb.takes(t) for t in parted(climb)):
+        pass
+
+
+def parted(climb: Climb) -> Iterator[Changed]:
+    """Yield the state with each such solid as two: cut across either of its longer axes, where two planes explain best
+    what it shows, and what shows on either side explained anew."""
+    (image, settings, _), state = climb.task, climb.state
+    boxes = [each for each in settings.shapes if each == "box"]  # by itself a round solid may explain more of a piece
+    tasks = [climb.task, *(climb.task._replace(settings=settings._replace(shapes=(each,))) for each in boxes)]
+    _, label, misfit, _ = held_out(image, state, -1)
+    shown = (label >= 0) & (image.weight > 0)
+    bad = shown & (misfit > MISFIT)
+    left = np.bincount(label[bad], misfit[bad], len(state))
+    for k in sorted(np.flatnonzero(left > settings.price).tolist(), key=lambda each: -left[each]):
+        row = state.rows[k]
+        points = (image.origin + image.depth[..., None] * image.direction)[shown & (label == k)]
+        for axis in np.argsort(-row[13:16])[:2]:
+            low = lower_side(points, points @ rotation_of(row)[:, axis])
+            if low is None:
+                continue
+            for task in tasks:
+                new, bottom = state.without(k), max(lowest(row), 0.0)
+                for piece in (points[low], points[~low]):
+                    new, _ = appear_on(climb.rng, task, new, piece, bottom)
+                both = {len(new) - 2, len(new) - 1}
+                yield new, both
+            yield leaning(climb, new, both), both
+
+
+def leaning(climb: Climb, state: State, among: set[int]) -> State:
+    """Return a State in which that solid of some leans that leaves most unexplained, as it explains the image best."""
+    _, label, misfit, _ = held_out(climb.task.image, state, -1)
+    worst = max(among, key=lambda k: misfit[label == k].sum())
+    return polished(climb.rng, climb.task, state, worst, state.rows[worst], FREE, False)[0]
+
+
+def lower_side(points: np.ndarray, along: np.ndarray) -> np.ndarray | None:
+    """Return (N,) bool: which of points (N, 3) lie on the lower side of that of some cuts on whose sides two planes
+    leave least of their squared heights; None where either side would be too few. along : (N,) where they lie."""
+    best, least = None, np.inf
+    design = np.column_stack([points[:, :2], np.ones(len(points))])
+    for place in np.quantile(along, CUTS):
+        low = along < place
+        if min(low.sum(), (~low).sum()) < FEWEST:
+            continue
+        off = [
+            points[side, 2] - design[side] @ np.linalg.lstsq(design[side], points[side, 2])[0] for side in (low, ~low)
+        ]
+        if (squares := float(sum(each @ each for each in off))) < least:
+            best, least = low, squares
+    return best
 
 
 def support_all(climb: Climb) -> None:
