@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from derender.results.posterior import Posterior, StructurePosterior
     from derender.structures.together import Look
 
+SURELY = 0.95  # probability from which on what hides a solid says nothing against it
 RATHER = 0.5  # share of what an object shows in that it explains, below which a structure is doubted for it, too
 LITTLE_FLOOR = 0.4  # share of what shows no solid: what stands on the rest may be told background
 
@@ -54,6 +55,10 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     told = explanation_of(graph, observations, case.depth, case.camera)
     elsewhere = {name: share for name, share in told.borne_out(case.depth).items() if share < LEAST_FITTING}
     rather = {name: share for name, share in elsewhere.items() if share < RATHER}
+    if seen.correlation > CORRELATED and not case.library:
+        hidden = shown_shares(graph, told, case.depth, case.camera)
+        chance = {name: case.beliefs.loose.existence.shown_by(share) for name, share in hidden.items()}
+        meta["existence"].update((name, of) for name, of in chance.items() if of[0] < SURELY)
     posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], rather)))
     for name, share in elsewhere.items():
         known, error = meta["existence"].get(name, (1.0, 0.0))
@@ -73,6 +78,33 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in posterior.parts),
         explanation=told,
     )
+
+
+def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera: Camera) -> dict[str, float]:
+    """Return for each solid but free-form things which share of the returns that it covers, but for those from what
+    stands on it, shows it.
+
+    What fits a few pixels and is hidden by others for the rest is often not there, but a piece of these.
+
+    told : what the scene says of each pixel of a depth image (H, W).
+    """
+    from derender.render.raycast.depth import render_depth
+
+    solids, found = graph.solids(), {}
+    borne: dict[str, set[str]] = {}
+    valid, camera = np.isfinite(depth) & (depth > 0), whole_camera(camera, depth.shape)
+    for vertex in reversed(graph.vertices):  # parents come first
+        for on in (vertex.parent, *vertex.supports):
+            borne.setdefault(on, set()).update({vertex.name}, borne.get(vertex.name, set()))
+    for k, name in enumerate(graph.solid_names):
+        if name not in told.names or graph.vertex(name).shape == "thing":
+            continue
+        alone = solids._replace(**{key: getattr(solids, key)[[k]] for key in ("kind", "pose", "size", "mesh")})
+        over = np.isin(told.label, [told.names.index(each) for each in borne.get(name, ()) if each in told.names])
+        covered = valid & (render_depth(alone, camera)[1] >= 0) & ~over
+        if covered.any():
+            found[name] = float((told.label[covered] == told.names.index(name)).mean())
+    return found
 
 
 def with_absences(

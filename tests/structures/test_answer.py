@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from small_scenes import read
 
+from derender.camera.intrinsics import Camera
+from derender.detection.solids.beliefs import bare_image
+from derender.render.raycast.depth import render_depth
+from derender.results.fit import explain
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.structures.answer import with_absences
+from derender.structures.answer import shown_shares, with_absences
 from derender.structures.parts import MOST_STRUCTURES
 
 THREE = """
@@ -43,6 +47,25 @@ def test_no_structure_is_likelier_than_its_objects(part):
         assert posterior.object_probability_error(name) == pytest.approx(CHANCE[name][1], rel=0.3)
         there = sum(each.weight for each in parts if name in each.graph.names)
         assert there / 0.8 == pytest.approx(CHANCE[name][0])
+
+
+def test_a_solid_that_others_hide_but_for_a_sliver_is_rather_a_piece_of_these():
+    """A bowl that was cut off had a cylinder in it that only its foot showed, at P .97."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = 0.0, 0.1, 0.8
+    graph = replace(read(THREE).graph, root_pose=pose)
+    camera = Camera(100.0, 100.0, 79.5, 59.5, 160, 120)
+    depth, label = render_depth(graph.solids(), camera)
+    left = label == graph.solid_names.index("left")
+    nearer = left & (np.cumsum(left, axis=1) > 3)
+    told = explain(graph, depth, camera)
+    told.label[nearer] = 0
+    shares = shown_shares(graph, told, depth, camera)
+    assert set(shares) == {"low", "top", "left", "right"} and shares["left"] < 0.4
+    assert shares["low"] == shares["top"] == shares["right"] == 1.0  # what stands on it says nothing against a solid
+    believed = bare_image().loose.existence
+    assert believed.shown_by(1.0)[0] > 0.99 and believed.shown_by(shares["left"])[0] < 0.5
+    assert believed.shown_by(believed.shown) == (0.5, believed.error_at_even)
 
 
 def test_what_bears_something_stays_and_so_do_the_draws_of_all(part):

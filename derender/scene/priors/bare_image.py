@@ -27,6 +27,8 @@ class Existence:
         nats count with the square of that.
     one : nats gained by joining pieces that meet in a concave edge at which they are as likely one as two; each so
         many more make the odds of that e^2 times as high.
+    shown : share of what a solid covers by itself that shows it, at which it is as likely there as not.
+    clear : power of that share with which the odds grow.
     """
 
     even: float = 35.0
@@ -36,6 +38,13 @@ class Existence:
     error_at_even: float = 0.15  # at even odds
     outstanding: float = 0.5
     one: float = 15.0
+    shown: float = 0.45
+    clear: float = 6.0
+
+    def shown_by(self, share: float) -> tuple[float, float]:
+        """Return (probability, standard error) that a solid is there that others hide but for a share of it."""
+        there = 1.0 / (1.0 + (self.shown / max(share, 1e-9)) ** self.clear)
+        return there, self.error_at_even * 4.0 * there * (1.0 - there)
 
     def of(self, gain: float, outstanding: float) -> tuple[float, float]:
         """Return (probability, standard error) for a gain in nats of a thing that stands out so much."""
@@ -246,7 +255,7 @@ SHARE = ("", 1e-9, 1.0 - 1e-9)
 GROUPS: dict[str, tuple[Any, dict]] = {
     "missed": (Missed, {"pixels": ("", 1e-9), "": ("", 1e-9, 1.0)}),
     "shared": (Shared, {"least": ("", 0.0, 1.0), "most": ("", 0.0, MOST_SHARED), "columns": ("", 1.0), "": ("", 0.0)}),
-    "existence": (Existence, {"even": ("", 1e-9), "steep": ("", 1e-9), "one": ("", 1e-9), "": ("", 1e-9, 1.0)}),
+    "existence": (Existence, {**dict.fromkeys(("even", "steep", "one", "clear"), ("", 1e-9)), "": ("", 1e-9, 1.0)}),
     "things": (Things, {"patch": ("m", 1e-6), "wide": ("m", 1e-6), "whole": ("", 0.0, 1.0), "": ("", 0.0)}),
     "floor": (Floors, {"height": ("m", 1e-9), "spread": ("", 1.0 + 1e-9), "share": ("", 1e-9),
                        "explained": ("", 1e-9), "": ("", 1e-9, 1.0)}),
