@@ -56,9 +56,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     elsewhere = {name: share for name, share in told.borne_out(case.depth).items() if share < LEAST_FITTING}
     rather = {name: share for name, share in elsewhere.items() if share < RATHER}
     if seen.correlation > CORRELATED and not case.library:
-        hidden = shown_shares(graph, told, case.depth, case.camera)
-        chance = {name: case.beliefs.loose.existence.shown_by(share) for name, share in hidden.items()}
-        meta["existence"].update((name, of) for name, of in chance.items() if of[0] < SURELY)
+        meta["existence"].update(chances(meta["existence"], graph, told, case))
     posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], rather)))
     for name, share in elsewhere.items():
         known, error = meta["existence"].get(name, (1.0, 0.0))
@@ -70,14 +68,36 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     if case.library:  # of whose answers no spots are counted
         extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}
     missed = missed_by(observations, extras, believed, told.share(case.depth))
-    hanging = [vertex.name for vertex in graph.vertices if vertex.parent == ROOT and vertex.body.size() is not None]
-    stands = not case.settings.may_float and any(vertex.body.size() is None for vertex in graph.vertices)
-    meta.update(missed=missed, wrong_if_missed=believed.wrong, hanging=hanging if stands else [])
+    meta.update(missed=missed, wrong_if_missed=believed.wrong, hanging=hanging(graph, case))
     return replace(
         posterior,
         parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in posterior.parts),
         explanation=told,
     )
+
+
+def chances(
+    existence: dict[str, tuple[float, float]], graph: SceneGraph, told: Explanation, case: Case
+) -> dict[str, tuple[float, float]]:
+    """Return (probability, standard error) that objects are there which little shows, or which touch nothing.
+
+    existence : the same of free-form things, by what they explain. told : what the scene says of each pixel.
+    """
+    believed, found = case.beliefs.loose.existence, {}
+    for name, share in shown_shares(graph, told, case.depth, case.camera).items():
+        if (there := believed.shown_by(share))[0] < SURELY:
+            found[name] = there
+    for name in hanging(graph, case):
+        (known, error), share = {**existence, **found}.get(name, (1.0, 0.0)), believed.hangs
+        found[name] = (share * known, float(np.hypot(share * error, known * share * (1.0 - share))))
+    return found
+
+
+def hanging(graph: SceneGraph, case: Case) -> list[str]:
+    """Return the names of the objects that touch nothing, where there is a floor and nothing may float."""
+    if case.settings.may_float or all(vertex.body.size() is not None for vertex in graph.vertices):
+        return []
+    return [vertex.name for vertex in graph.vertices if vertex.parent == ROOT and vertex.body.size() is not None]
 
 
 def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera: Camera) -> dict[str, float]:

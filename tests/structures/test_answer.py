@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from derender.detection.solids.beliefs import bare_image
 from derender.render.raycast.depth import render_depth
 from derender.results.fit import explain
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.structures.answer import shown_shares, with_absences
+from derender.scene.graph import ROOT, Contact
+from derender.structures.answer import chances, shown_shares, with_absences
 from derender.structures.parts import MOST_STRUCTURES
 
 THREE = """
@@ -66,6 +68,24 @@ def test_a_solid_that_others_hide_but_for_a_sliver_is_rather_a_piece_of_these():
     believed = bare_image().loose.existence
     assert believed.shown_by(1.0)[0] > 0.99 and believed.shown_by(shares["left"])[0] < 0.5
     assert believed.shown_by(believed.shown) == (0.5, believed.error_at_even)
+
+
+def test_what_touches_nothing_is_seldom_an_object():
+    """Of a bin's wall a sliver was a rod in the air, at P .99."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = 0.0, 0.1, 0.8
+    graph = replace(read(THREE).graph, root_pose=pose)
+    free = replace(graph.vertex("left"), parent=ROOT, contact=Contact("6dof", values={"x": 0.3, "z": 0.3}))
+    graph = graph.remove("left").add(free)
+    camera = Camera(100.0, 100.0, 79.5, 59.5, 160, 120)
+    depth = render_depth(graph.solids(), camera)[0]
+    beliefs, settings = bare_image(), SimpleNamespace(may_float=False)
+    case = SimpleNamespace(beliefs=beliefs, depth=depth, camera=camera, settings=settings)
+    told, usual = explain(graph, depth, camera), beliefs.loose.existence.hangs
+    found = chances({"left": (0.9, 0.05)}, graph, told, case)
+    assert found == {"left": (0.9 * usual, pytest.approx(0.9 * usual * (1.0 - usual), abs=0.01))}
+    case.settings = SimpleNamespace(may_float=True)
+    assert chances({}, graph, told, case) == {}
 
 
 def test_what_bears_something_stays_and_so_do_the_draws_of_all(part):

@@ -29,6 +29,7 @@ class Existence:
         many more make the odds of that e^2 times as high.
     shown : share of what a solid covers by itself that shows it, at which it is as likely there as not.
     clear : power of that share with which the odds grow.
+    hangs : share of what touches nothing, though there is a floor, that is an object.
     """
 
     even: float = 35.0
@@ -40,6 +41,7 @@ class Existence:
     one: float = 15.0
     shown: float = 0.45
     clear: float = 6.0
+    hangs: float = 0.2
 
     def shown_by(self, share: float) -> tuple[float, float]:
         """Return (probability, standard error) that a solid is there that others hide but for a share of it."""
