@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from derender.structures.together import Look
 
 SURELY = 0.95  # probability from which on what hides a solid says nothing against it
+SELDOM = 0.01  # the least of that that is believed: were all structures impossible, none would be told
 RATHER = 0.5  # share of what an object shows in that it explains, below which a structure is doubted for it, too
 LITTLE_FLOOR = 0.4  # share of what shows no solid: what stands on the rest may be told background
 
@@ -147,7 +148,7 @@ def with_absences(
         held = {on for vertex in part.graph.vertices for on in (vertex.parent, *vertex.supports)}
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
         shares = [np.array([known, 1.0 - known]) for known, _ in doubted.values()]
-        as_told = float(np.prod([share for name, share in elsewhere.items() if name in part.graph.names]))
+        as_told = float(np.prod([max(share, SELDOM) for name, share in elsewhere.items() if name in part.graph.names]))
         all_there = (0,) * len(doubted)
         choices = [chosen for chosen, _ in likeliest(shares)] if part is likeliest_part else [all_there]
         for chosen in choices:

@@ -70,6 +70,12 @@ def test_a_solid_that_others_hide_but_for_a_sliver_is_rather_a_piece_of_these():
     assert believed.shown_by(believed.shown) == (0.5, believed.error_at_even)
 
 
+def test_a_structure_is_told_though_nothing_shows_one_of_its_objects(part):
+    """Of a shelf's front all structures had a probability of 0, and the report failed."""
+    parts = with_absences([part], {}, {"left": 0.0})
+    assert [each.graph for each in parts] == [part.graph] and 0.0 < parts[0].weight < 0.05
+
+
 def test_what_touches_nothing_is_seldom_an_object():
     """Of a bin's wall a sliver was a rod in the air, at P .99."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
