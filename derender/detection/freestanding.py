@@ -121,6 +121,7 @@ def outlines(piece, count, points, good, jump, footprint, origin):
 
 
 LEAST_EXISTENCE = 0.5  # probability that a thing of the best scene is an object
+SHADOW = 0.5  # share of what returns nothing beside an outline that is in the shadow of a step there
 
 
 def existence_of(
@@ -153,7 +154,7 @@ def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> flo
     bool) that it stands on.
 
     Clutter, such as leaves or the edge of a bin, is ragged or goes on behind what hides it, and a piece of something
-    goes on there; where nothing returned beyond the outline nothing tells what it is.
+    goes on there; where nothing returned beyond the outline it is a step's SHADOW or nothing tells what it is.
     """
     surface, piece = seen.surface, np.where(mask, 0, -1).astype(np.int32)
     around, floor = (outline_shares(surface._replace(good=beyond), piece, 1)[0]
@@ -162,7 +163,7 @@ def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> flo
     pixels = np.column_stack([rows, columns])
     corners = np.concatenate([pixels + [down, across] for down in (-0.5, 0.5) for across in (-0.5, 0.5)])
     filled = min(1.0, len(rows) / outline_area(corners) / returns_about(seen))
-    return float((around[FARTHER] + min(floor[JOINED], around[JOINED])) * filled)
+    return float((around[FARTHER] + min(floor[JOINED], around[JOINED]) + SHADOW * around[NOTHING]) * filled)
 
 
 def returns_about(seen: "Observation") -> float:

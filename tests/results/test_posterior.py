@@ -85,7 +85,7 @@ def test_a_free_form_thing_may_be_no_object_at_all():
     assert doubted.object_probability(name) == pytest.approx(0.55 * sure.object_probability(name))
     assert doubted.object_probability_error(name) >= 0.1 > sure.object_probability_error(name)
     assert doubted.object_probability(one.graph.names[0]) == sure.object_probability(one.graph.names[0])
-    assert any(name in doubt.words and doubt.serious for doubt in chain_doubts(doubted, []))
+    assert any(name in doubt.words and doubt.about == (name,) for doubt in chain_doubts(doubted, []))
     assert not any(name in doubt.words for doubt in chain_doubts(sure, []))
 
 

@@ -23,8 +23,8 @@ from derender.scene.shapes import shapes
 class Existence:
     """How probable it is that a free-form thing is an object, not clutter or a piece of one, by how much it explains.
 
-    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see detection.existence;
-        nats count with the square of that.
+    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see
+        detection.freestanding; nats count with the cube of that.
     one : nats gained by joining pieces that meet in a concave edge at which they are as likely one as two; each so
         many more make the odds of that e^2 times as high.
     shown : share of what a solid covers by itself that shows it, at which it is as likely there as not.
@@ -32,9 +32,9 @@ class Existence:
     hangs : share of what touches nothing, though there is a floor, that is an object.
     """
 
-    even: float = 35.0
-    steep: float = 1.5  # power with which the odds grow with the nats
-    most: float = 0.98  # the most that is said
+    even: float = 50.0
+    steep: float = 3.0  # power with which the odds grow with the nats
+    most: float = 0.96  # the most that is said
     error: float = 0.05  # standard error of that
     error_at_even: float = 0.15  # at even odds
     outstanding: float = 0.5
@@ -50,7 +50,7 @@ class Existence:
 
     def of(self, gain: float, outstanding: float) -> tuple[float, float]:
         """Return (probability, standard error) for a gain in nats of a thing that stands out so much."""
-        gain *= (outstanding / self.outstanding) ** 2
+        gain *= (outstanding / self.outstanding) ** 3
         share = 1.0 / (1.0 + (self.even / max(gain, 1e-9)) ** self.steep)
         return self.most * share, math.hypot(self.error * share, self.error_at_even * 4.0 * share * (1.0 - share))
 
