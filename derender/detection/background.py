@@ -96,7 +96,7 @@ def standing_bodies(
             or along_edge(points[mask], beyond[mask])
             or (
                 cut_off(points, mask, frame, real)
-                and not shows_top(points[mask], normal[mask])
+                and (spans(mask, frame) or not shows_top(points[mask], normal[mask]))
                 and not shows_foot(surface, mask, beyond, frame)
             )
             or (not floating and floats(surface, mask))
@@ -167,10 +167,21 @@ def beside(mask: np.ndarray, frame: Sequence[int]) -> float:
 
     frame : see `cut_off`.
     """
-    _, _, left, right = frame
+    return max(by_either_side(mask, frame))
+
+
+def by_either_side(mask: np.ndarray, frame: Sequence[int]) -> tuple[float, float]:
+    """Return the shares of the rows of a body's pixels, (H, W) bool, in which the left and the right side cut it."""
     rows, columns = np.nonzero(mask)
-    most = max(len(np.unique(rows[columns <= left])), len(np.unique(rows[columns >= right])))
-    return float(most / (np.ptp(rows) + 1))
+    left, right = (len(np.unique(rows[cut])) for cut in (columns <= frame[2], columns >= frame[3]))
+    high = np.ptp(rows) + 1
+    return float(left / high), float(right / high)
+
+
+def spans(mask: np.ndarray, frame: Sequence[int]) -> bool:
+    """Return whether both sides of the image cut a body: what is wider than all that is seen of the floor is a bin's
+    rim, a step or a wall, though it may show a level top."""
+    return min(by_either_side(mask, frame)) > CUT
 
 
 def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
@@ -225,7 +236,8 @@ def cut_short(
     """Return whether what shows as one solid is cut off by the image's border as a wall or a hand is, and shows neither
     its top nor that it stands; takes what `is_background` does."""
     points = surface.points
-    cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
+    cut = cut_off(points, mask, frame, least=0.0)
+    cut = cut and (spans(mask, frame) or not shows_top(points[mask], normal[mask]))
     return cut and not shows_foot(surface, mask, beyond, frame)
 
 

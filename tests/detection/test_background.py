@@ -245,6 +245,17 @@ def test_what_comes_down_near_the_floor_stands_on_it_though_its_foot_is_narrow_o
     assert not shows_foot(surface, mask, INSIDE, FRAME)
 
 
+@pytest.mark.parametrize(("first", "background"), [(0, True), (30, False)])
+def test_what_both_sides_of_the_image_cut_is_background_though_it_shows_a_level_top(first, background):
+    """A bin's rim before its bottom was an object at P .97."""
+    surface, mask = flat_surface(60, 80), np.zeros((60, 80), bool)
+    mask[34:46, first:] = True
+    surface.points[mask, 2] = 0.1
+    upright, nothing, inside = np.zeros_like(surface.points), np.zeros((60, 80), bool), np.full((60, 80), -1.0)
+    upright[..., 2] = 1.0
+    assert is_background(surface, mask, upright, nothing, inside, (0, 59, 0, 79)) == background
+
+
 def test_the_border_is_where_returns_begin_not_the_top_of_a_solid():
     """A registered image has margins; before a room without returns a can's top is the first thing seen."""
     good = np.zeros((60, 80), bool)
