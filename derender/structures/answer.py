@@ -106,10 +106,10 @@ def hanging(graph: SceneGraph, case: Case) -> list[str]:
 
 
 def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera: Camera) -> dict[str, float]:
-    """Return for each solid but free-form things which share of the returns that it covers, but for those from what
-    stands on it, shows it.
+    """Return for each solid but free-form things which share of the returns that it covers, but for those from other
+    solids or from what stands on it, shows it.
 
-    What fits a few pixels and is hidden by others for the rest is often not there, but a piece of these.
+    What fits a few pixels and is hidden by free forms or background for the rest is often a piece of these.
 
     told : what the scene says of each pixel of a depth image (H, W).
     """
@@ -121,12 +121,14 @@ def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera
     for vertex in reversed(graph.vertices):  # parents come first
         for on in (vertex.parent, *vertex.supports):
             borne.setdefault(on, set()).update({vertex.name}, borne.get(vertex.name, set()))
+    free = {name for name in told.names if graph.vertex(name).shape == "thing"}
     for k, name in enumerate(graph.solid_names):
-        if name not in told.names or graph.vertex(name).shape == "thing":
+        if name not in told.names or name in free:
             continue
+        before = set(told.names) - (free - borne.get(name, set())) - {name}
         alone = solids._replace(**{key: getattr(solids, key)[[k]] for key in ("kind", "pose", "size", "mesh")})
-        over = np.isin(told.label, [told.names.index(each) for each in borne.get(name, ()) if each in told.names])
-        covered = valid & (render_depth(alone, camera)[1] >= 0) & ~over
+        hidden = np.isin(told.label, [told.names.index(each) for each in before])
+        covered = valid & (render_depth(alone, camera)[1] >= 0) & ~hidden
         if covered.any():
             found[name] = float((told.label[covered] == told.names.index(name)).mean())
     return found

@@ -11,7 +11,7 @@ from small_scenes import read
 from derender.camera.intrinsics import Camera
 from derender.detection.solids.beliefs import bare_image
 from derender.render.raycast.depth import render_depth
-from derender.results.fit import explain
+from derender.results.fit import BACKGROUND, explain
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import ROOT, Contact
 from derender.structures.answer import chances, shown_shares, with_absences
@@ -51,7 +51,7 @@ def test_no_structure_is_likelier_than_its_objects(part):
         assert there / 0.8 == pytest.approx(CHANCE[name][0])
 
 
-def test_a_solid_that_others_hide_but_for_a_sliver_is_rather_a_piece_of_these():
+def test_a_solid_that_free_forms_hide_but_for_a_sliver_is_rather_a_piece_of_these():
     """A bowl that was cut off had a cylinder in it that only its foot showed, at P .97."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = 0.0, 0.1, 0.8
@@ -61,7 +61,9 @@ def test_a_solid_that_others_hide_but_for_a_sliver_is_rather_a_piece_of_these():
     left = label == graph.solid_names.index("left")
     nearer = left & (np.cumsum(left, axis=1) > 3)
     told = explain(graph, depth, camera)
-    told.label[nearer] = 0
+    told.label[nearer] = told.names.index("right")
+    assert shown_shares(graph, told, depth, camera)["left"] == 1.0  # what another solid hides says nothing
+    told.label[nearer] = BACKGROUND
     shares = shown_shares(graph, told, depth, camera)
     assert set(shares) == {"low", "top", "left", "right"} and shares["left"] < 0.4
     assert shares["low"] == shares["top"] == shares["right"] == 1.0  # what stands on it says nothing against a solid
