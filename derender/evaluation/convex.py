@@ -66,7 +66,7 @@ def volume_of(solid: Mapping[str, Any]) -> float:
 def intersection_volume(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
     """Return the volume that two solids share, in cubic metres."""
     from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull, HalfspaceIntersection
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
     corners = [corners_of(a), corners_of(b)]
     centre = corners[0].mean(axis=0)
@@ -80,7 +80,11 @@ def intersection_volume(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
                    bounds=bounds)  # fmt: skip
     if not ball.success or ball.x[3] < FLAT:
         return 0.0
-    return float(ConvexHull(HalfspaceIntersection(planes, ball.x[:3]).intersections).volume) * reach**3
+    try:
+        shared = HalfspaceIntersection(planes, ball.x[:3])
+    except QhullError:  # of faces that are all but the same: moved by rounding they are not
+        shared = HalfspaceIntersection(planes, ball.x[:3], qhull_options="QJ")
+    return float(ConvexHull(shared.intersections).volume) * reach**3
 
 
 def intersection_over_union(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:

@@ -108,3 +108,18 @@ def test_hull_of_vertices():
 
 def test_far_apart_share_nothing():
     assert intersection_volume(solid("box", [1, 1, 1]), solid("sphere", [1] * 3, translation(0, 0, 5))) == 0
+
+
+def test_solids_whose_faces_all_but_coincide_are_compared(monkeypatch):
+    """Qhull gave up on two free-form things that were nearly the same, and `derender eval` with it."""
+    import scipy.spatial
+
+    halfspaces = scipy.spatial.HalfspaceIntersection
+
+    def strict(planes, inside, qhull_options=None):
+        if qhull_options is None:
+            raise scipy.spatial.QhullError("precision error")
+        return halfspaces(planes, inside, qhull_options=qhull_options)
+
+    monkeypatch.setattr(scipy.spatial, "HalfspaceIntersection", strict)
+    assert box_iou(np.eye(4), np.ones(3), translation(0.5, 0.0, 0.0), np.ones(3)) == pytest.approx(1.0 / 3.0, rel=1e-6)
