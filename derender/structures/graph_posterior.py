@@ -44,7 +44,7 @@ from derender.structures.draws.refined import (
     view_of,
     with_sensor_refitted,
 )
-from derender.structures.unexplained import SURELY, additions, hidden_expected, nearer_than_explained, spots
+from derender.structures.unexplained import additions, hidden_expected, spots_left
 from derender.structures.unions import merges, put_on, recuts
 from derender.structures.weighing import Weighed, made_sure, surest, surest_of_each
 
@@ -125,9 +125,9 @@ def shown_and_left(trial: Refined) -> dict[str, list]:
 
     What neighbouring pixels share is not told from noise by its spots.
     """
-    shows = trial.sensor.shows
-    found = [] if shows < 1.0 else spots(nearer_than_explained(trial))
-    left = [spot.place for spot in found if spot.strength > SURELY]
+    sensor, shows = trial.sensor, trial.sensor.shows
+    clean = sensor.clean(trial.chart, trial.values)
+    left = [] if shows < 1.0 else spots_left(clean, sensor.returned, sensor.values)
     return {"pixels": [float(shows * count) for count in pixels_of(trial)], "spots": left}
 
 

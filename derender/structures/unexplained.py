@@ -5,6 +5,7 @@ less to it. Here residuals and their squares are summed over windows of some pix
 standard deviations, exceeds FAINT but once in ten images. What is proposed is weighed like any other structure.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -47,11 +48,6 @@ class Spot(NamedTuple):
     strength: float  # standard deviations
     shown: np.ndarray  # (H, W) bool, those pixels
 
-    @property
-    def place(self) -> list[float]:
-        """Where its pixels lie, see `place_of`."""
-        return place_of(self.shown)
-
 
 def place_of(mask: np.ndarray) -> list[float]:
     """Return the first and the last row and column of a mask (H, W), as shares of the image's height and width."""
@@ -59,12 +55,24 @@ def place_of(mask: np.ndarray) -> list[float]:
     return (ends / np.array(mask.shape)[:, None]).ravel().tolist()
 
 
-def nearer_than_explained(best: Refined) -> np.ndarray:
-    """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return."""
-    sensor = best.sensor
-    model = blur(sensor.clean(best.chart, best.values), sensor.values["blur"])
-    noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * model**2
-    return np.clip((model - sensor.returned) / noise, -MOST_OF_ONE, MOST_OF_ONE)
+def nearer_than_explained(clean: np.ndarray, observed: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
+    """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return.
+
+    clean, observed : (H, W) metres, of the scene without blur, and of the image, NaN where it does not show the scene.
+    numbers : of a likelihood.
+    """
+    model = blur(clean, numbers["blur"])
+    noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * model**2
+    return np.clip((model - observed) / noise, -MOST_OF_ONE, MOST_OF_ONE)
+
+
+def spots_left(clean: np.ndarray, observed: np.ndarray, numbers: Mapping[str, float]) -> list[list[float]]:
+    """Return the places of what a scene leaves that is surely no noise, see `spots` and `nearer_than_explained`.
+
+    What neighbouring pixels share is not told from noise so.
+    """
+    found = spots(nearer_than_explained(clean, observed, numbers))
+    return [place_of(spot.shown) for spot in found if spot.strength > SURELY]
 
 
 def spots(nearer: np.ndarray) -> list[Spot]:
@@ -117,7 +125,7 @@ def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> li
     seen = image.origin + image.depth[..., None] * image.direction
     climb = partial(at_mode, floor_pose=floor, sensor=sensor, rules=settings.rules, steps=QUICK, only=place)
     candidates: list[Refined] = []
-    for spot in spots(nearer_than_explained(best)):
+    for spot in spots(nearer_than_explained(sensor.clean(best.chart, best.values), sensor.returned, sensor.values)):
         states = with_one_more(rng, image, best.state, seen[spot.shown & (image.depth > 0)], settings)
         trials = in_threads(rng, [partial(climb, state=state) for state in states])
         trials = [trial for trial in trials if trial.log_likelihood > best.log_likelihood + TOLD]

@@ -18,7 +18,6 @@ from derender.detection.solids.state import State
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import MixtureSampler
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts
-from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
@@ -30,7 +29,7 @@ from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.structures.known.identities import SHOWN, Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import GAP, Known
 from derender.structures.parts import LEAST_LIKELY, likeliest, part_of, part_of_one
-from derender.structures.unexplained import MOST_OF_ONE, SURELY, spots
+from derender.structures.unexplained import spots_left
 
 Seen = Callable[[SceneGraph], ObservedImage]
 
@@ -168,24 +167,12 @@ def part_of_known(
     part = part_of(target, list(outcome.records.values()), parts)
     if part is None or outcome.interrupted:
         raise KeyboardInterrupt
-    return replace(part, extras={**part.extras, "spots": spots_left(target, placement.settings, part)})
-
-
-def spots_left(target: SceneTarget, settings: Settings, part: StructurePosterior) -> list[list[float]]:
-    """Return the places of what a part's likeliest scene leaves unexplained that is surely no noise, see `spots`.
-
-    What neighbouring pixels share is not told from noise so.
-    """
-    if settings.temper > 1.0:
-        return []
-    images = target.images
-    numbers = likelihoods[images.type].complete(images.values)
-    clean = render_depth(part.best()[0].solids(), images.camera, background=numbers["background"])[0]
-    model = blur(clean, numbers["blur"])
-    noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * model**2
-    seen = np.isfinite(images.observed) & (images.observed > 0)
-    nearer = np.where(seen, np.clip((model - images.observed) / noise, -MOST_OF_ONE, MOST_OF_ONE), np.nan)
-    return [spot.place for spot in spots(nearer) if spot.strength > SURELY]
+    images, left = target.images, []
+    if placement.settings.temper == 1.0:
+        numbers = likelihoods[images.type].complete(images.values)
+        clean = render_depth(part.best()[0].solids(), images.camera, background=numbers["background"])[0]
+        left = spots_left(clean, np.where(images.observed > 0, images.observed, np.nan), numbers)
+    return replace(part, extras={**part.extras, "spots": left})
 
 
 class Even(NamedTuple):
