@@ -5,7 +5,7 @@ import pytest
 from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
-from derender.results.fit import BACKGROUND, FLOOR, UNEXPLAINED, explain, grow, smooth_surface
+from derender.results.fit import BACKGROUND, FLOOR, UNEXPLAINED, Explanation, explain, grow, smooth_surface
 
 CAMERA = Camera.from_field_of_view(64, 48)
 BOX, WALL, GHOST = (slice(20, 28), slice(28, 36)), (slice(0, 6), slice(0, 64)), (slice(38, 42), slice(5, 9))
@@ -95,3 +95,10 @@ def test_what_goes_on_beyond_a_coarse_outline_is_the_things():
         grow(label, depth, seen, np.array([True]))
     assert (label[0] == 0).tolist() == [False, True, True, True, True, False, False, False]  # two pixels, no step
     assert np.allclose(depth[0, 1:5], seen[0, 1:5])
+
+
+def test_an_object_that_few_pixels_contradict_is_not_ruled_out():
+    """A structure with such an object had no weight at all, and where all had it none could be drawn from."""
+    label = np.array([[0, 0, 1, 1]], np.int32)
+    told = Explanation(label, np.array([[1.0, 1.0, 1.5, 1.5]], np.float32), ("lost", "found"))
+    assert told.borne_out(np.full((1, 4), 1.5)) == {"lost": pytest.approx(0.25), "found": pytest.approx(0.75)}
