@@ -37,7 +37,7 @@ FAR = 2.0  # pixels from the limb from where on a curved face is taken as flat: 
 TWO, THREE = math.sqrt(1.0 / 3.0), math.sqrt(0.6)  # nodes of Gauss and Legendre on [-1, 1]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _centroid(corner, count, p):
     """Area and centroid of a piece with `count` corners."""
     first_x, first_y = corner[p, 0, 0], corner[p, 0, 1]
@@ -54,7 +54,7 @@ def _centroid(corner, count, p):
     return area, first_x + sum_x / (3.0 * area), first_y + sum_y / (3.0 * area)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _add_part(part_code, parts, at, code, share, x, y):
     if at < parts.shape[0]:
         part_code[at] = code
@@ -63,7 +63,7 @@ def _add_part(part_code, parts, at, code, share, x, y):
     return at
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _merge_part(part_code, parts, begin, at, code, share, x, y):
     """Add a part to the one of the same flat face since `begin`, if there is one, at their common centroid."""
     for n in range(begin, at):
@@ -76,7 +76,7 @@ def _merge_part(part_code, parts, begin, at, code, share, x, y):
     return _add_part(part_code, parts, at, code, share, x, y)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _steep(corner, count, plane, part_code, parts, p, code, column, row, at):
     """Integrate over a piece of a flat face that is seen nearly edge on: return (integral of depth, end of parts)."""
     total = 0.0
@@ -92,7 +92,7 @@ def _steep(corner, count, plane, part_code, parts, p, code, column, row, at):
     return total, at
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _curved(corner, edges, count, across, all_prepared, part_code, parts, p, code, column, row, area, x, y, at):
     """Integrate over a piece of a curved face: return (integral of depth, end of the parts)."""
     k = code >> FACE_BITS
@@ -166,7 +166,7 @@ def _curved(corner, edges, count, across, all_prepared, part_code, parts, p, cod
     return area * total / whole, at
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def integrate(pieces, prepared, part_code, parts, border_code, borders, count, column, row, begin, part, border):
     """Integrate depth over a pixel that is cut into `count` pieces; write its parts and borders.
 
@@ -216,7 +216,7 @@ def integrate(pieces, prepared, part_code, parts, border_code, borders, count, c
     return total, at, border
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _which_face(prepared, column, row):
     """The face that the ray enters a prepared solid by: the least upper bound (QUADRIC for a curved one)."""
     upper, face = 1e300, QUADRIC
@@ -230,7 +230,7 @@ def _which_face(prepared, column, row):
     return face
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _crossing(a, b, c, row, reach):
     """The interval of columns at which |a + b i + c row| <= reach."""
     value = a + c * row
@@ -241,7 +241,7 @@ def _crossing(a, b, c, row, reach):
     return min(max(first, -1e9), 1e9), min(max(second, -1e9), 1e9)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _draw_faces(k, prepared, row, first, end, inverse, code, mixed):
     """Draw one row of a solid with flat faces only and mark where two of its bounds may cross inside a pixel."""
     front, faces = int(prepared[0]), int(prepared[0] + prepared[1])
@@ -298,13 +298,13 @@ def _draw_faces(k, prepared, row, first, end, inverse, code, mixed):
             code[row, column] = base + face
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _corner(prepared, column, row):
     """-1 where the ray misses, otherwise the face it enters by."""
     return _which_face(prepared, column, row) if inverse_depth(prepared, column, row) > 0.0 else -1
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
     """Draw one row of a sphere or cylinder; mixed where its corners disagree or the outline is within two pixels."""
     base = k << FACE_BITS
@@ -328,7 +328,7 @@ def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
         above, below = next_above, next_below
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _draw_mixed(canvas, wall, window):
     """Divide and integrate the mixed pixels of a window: write their depths, parts and borders.
 
@@ -360,13 +360,13 @@ def _draw_mixed(canvas, wall, window):
     canvas.used[0], canvas.used[1] = part, border
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _differs(code, mixed, row, column, label):
     """Has a pixel without an outline another label?"""
     return mixed[row, column] != 1 and code[row, column] >> FACE_BITS != label
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _mark_labels(code, mixed, window, around):
     """Mark pixels between which only the label changes: solids that cut into each other show in no outline.
 
@@ -387,7 +387,7 @@ def _mark_labels(code, mixed, window, around):
                 mixed[row, column] = 2
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _draw_window(canvas, kinds, background, window, around):
     """Draw the prepared solids inside a window, within the window `around` of all that has been drawn."""
     inverse, code, mixed = canvas.inverse, canvas.code, canvas.mixed
@@ -421,7 +421,7 @@ def _draw_window(canvas, kinds, background, window, around):
     _draw_mixed(canvas, wall, window)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _include(rectangle, margin, window, dirty):
     """Enlarge `dirty` by a rectangle with a margin, as far as it lies in the window."""
     if rectangle[0] < rectangle[1] and rectangle[2] < rectangle[3]:

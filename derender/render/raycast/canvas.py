@@ -136,7 +136,7 @@ def new_canvas(camera: "Camera", solids: int) -> Canvas:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def prepare(canvas, k, kinds, poses, sizes):
     """Prepare solid k: bounds, outline, and rectangle, a pixel wider: it may reach pixels whose centres it misses."""
     height, width = canvas.depth.shape
@@ -149,13 +149,13 @@ def prepare(canvas, k, kinds, poses, sizes):
         draw_outline(kinds[k], poses[k], sizes[k], canvas.camera, lines, canvas.line_counts[k])
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _farther(kinds, poses, first, second):
     """Does the first solid come after the second?"""
     return kinds[first] == PLANE or poses[first, 2, 3] > poses[second, 2, 3]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def sort_solids(canvas, kinds, poses):
     """Write the solids' order."""
     for k in range(kinds.shape[0]):
@@ -172,7 +172,7 @@ EQUAL = 1e-12  # of inverse depths, 1/metres: what is nearer by less is not near
 ROUGH = 0.03  # share of the largest difference that the chords of an outline may feign
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def curved_inverse_depth(prepared, column, row):
     """Inverse depth of the near side of a sphere or endless cylinder; at its limb where the ray misses."""
     t, s = column - prepared[4], row - prepared[5]
@@ -180,7 +180,7 @@ def curved_inverse_depth(prepared, column, row):
     return (middle + math.sqrt(max(discriminant(prepared, t, s), 0.0))) / prepared[3]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _value(code, plane, prepared, slot, column, row, x, y):
     """Inverse depth of the face of a piece, or of the cell, at an offset from the pixel's centre."""
     here = code[slot]
@@ -189,7 +189,7 @@ def _value(code, plane, prepared, slot, column, row, x, y):
     return plane[slot, 0] + plane[slot, 1] * x + plane[slot, 2] * y
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def whole_pixel(pieces, slot, wall):
     """Make a piece the whole pixel, seeing a wall at this inverse depth."""
     for n in range(4):
@@ -201,7 +201,7 @@ def whole_pixel(pieces, slot, wall):
     pieces.plane[slot, 0], pieces.plane[slot, 1], pieces.plane[slot, 2] = wall, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def extent(corner, count, slot, a, b, c):
     """Least and greatest value of a + b x + c y over a piece with `count` corners."""
     least, most = 1e300, -1e300
@@ -211,7 +211,7 @@ def extent(corner, count, slot, a, b, c):
     return least, most
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _put(corner, edges, slot, count, x, y, edge):
     if count < CORNERS:
         corner[slot, count, 0], corner[slot, count, 1] = x, y
@@ -220,7 +220,7 @@ def _put(corner, edges, slot, count, x, y, edge):
     return count
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _divide(corner, edges, corners, source, inside, outside, a, b, c, inner_edge, outer_edge):
     """Cut a piece where a + b x + c y = 0; the positive part becomes piece `inside`, the other `outside`."""
     last = corners[source] - 1
@@ -245,7 +245,7 @@ def _divide(corner, edges, corners, source, inside, outside, a, b, c, inner_edge
     corners[inside], corners[outside] = kept, left
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _compare(corner, count, code, plane, prepared, polygon, owner, column, row):
     """Is the cell before a piece's face, over a polygon? (0 no, 1 yes, 2 where a + b x + c y > 0, a, b, c).
 
@@ -275,7 +275,7 @@ def _compare(corner, count, code, plane, prepared, polygon, owner, column, row):
     return 2, sd - b * sx - c * sy, b, c
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def insert(pieces, prepared, count, cuts, column, row):
     """Put the cell, a face bounded by the first `cuts` lines, into the `count` pieces of a pixel; return how many."""
     corner, edge, corners, code, plane = pieces.corner, pieces.edge, pieces.corners, pieces.code, pieces.plane
@@ -340,7 +340,7 @@ def insert(pieces, prepared, count, cuts, column, row):
     return count
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def bound(lines, edges, cuts, a, b, c, inner_edge, outer_edge):
     """Append a line to the cell's if it passes through the pixel. Return (lines, False if nothing is inside)."""
     reach = 0.5 * (abs(b) + abs(c))
@@ -353,7 +353,7 @@ def bound(lines, edges, cuts, a, b, c, inner_edge, outer_edge):
     return cuts, True
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _set_face(pieces, prepared, k, face, column, row):
     """Make a flat face of solid k that of the cell."""
     p = FACES + 3 * face
@@ -362,7 +362,7 @@ def _set_face(pieces, prepared, k, face, column, row):
     pieces.plane[CELL, 1], pieces.plane[CELL, 2] = prepared[p + 1], prepared[p + 2]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _keep_needed(pieces, polygon, first, cuts):
     """Cut polygon FIRST or SECOND by the lines from `first` on and drop those that leave no edge on it.
 
@@ -392,7 +392,7 @@ def _keep_needed(pieces, polygon, first, cuts):
     return kept, polygon
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def insert_solid(pieces, everything, lines, line_counts, k, column, row, count):
     """Put a convex solid into the `count` pieces of the pixel at (column, row); return how many there are then."""
     prepared, outlines, rims, base = everything[k], line_counts[k, 0], line_counts[k, 1], k * LINES

@@ -83,7 +83,7 @@ def spread(records, motions, moves, images):
                 images[p, pixel] += value
 
 
-@njit(cache=True, nogil=True, borrows=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def add_form(forms, slot, weight, nx, ny, nz, px, py, pz, poses, sizes, s):
     """Add weight * N . dp at a point p of solid s, as a linear form on motions, to forms[slot] (MOTION,)."""
     nx, ny, nz = weight * nx, weight * ny, weight * nz
@@ -100,14 +100,14 @@ def add_form(forms, slot, weight, nx, ny, nz, px, py, pz, poses, sizes, s):
             forms[slot, 6 + k] += (a * nx + b * ny + c * nz) * (a * px + b * py + c * pz) / sizes[s, k]
 
 
-@njit(cache=True, nogil=True, borrows=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _plane(prepared, s, face):
     """The inverse depth a + b i + c j of a flat face."""
     p = FACES + 3 * face
     return prepared[s, p], prepared[s, p + 1], prepared[s, p + 2]
 
 
-@njit(cache=True, nogil=True, borrows=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _add_surface(forms, slot, weight, kinds, poses, sizes, prepared, s, face, column, row, camera):
     """Add the inner term of one place, weight * n . dp / (n . r), to forms[slot]."""
     x, y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
@@ -129,7 +129,7 @@ def _add_surface(forms, slot, weight, kinds, poses, sizes, prepared, s, face, co
         add_form(forms, slot, weight / facing, nx, ny, nz, px, py, pz, poses, sizes, s)
 
 
-@njit(cache=True, nogil=True, borrows=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _slot_of(pixels, solids, forms, begin, count, pixel, solid):
     """The index of a solid's record among those of the present pixel, from `begin` on; `count` if it is new, -1 if
     there is no room."""
@@ -144,7 +144,7 @@ def _slot_of(pixels, solids, forms, begin, count, pixel, solid):
     return count
 
 
-@njit(cache=True, nogil=True, borrows=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _seen_depth(prepared, code, solid, w, background, column, row):
     """Depth of the piece with this code at a place on an outline of `solid`, whose own inverse depth there is w."""
     if code == NOTHING:
@@ -156,7 +156,7 @@ def _seen_depth(prepared, code, solid, w, background, column, row):
     return 1.0 / (a + b * column + c * row)
 
 
-@njit(cache=True, nogil=True, borrows=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _add_border(forms, slot, solid, edge, code, x0, y0, x1, y1, lines, prepared, camera, background, poses, sizes):
     """Add what a piece gains or loses where its border, a part of an outline, moves: depth times speed, integrated."""
     line = edge >> 1
