@@ -335,19 +335,19 @@ class Tracker(Drawing):
         information = about.T @ precision @ about
         curvature, begun = information.copy(), frame.copy()
 
-        def fit(loose: bool) -> None:
-            self.loosen(loose)
+        def fit() -> None:
             self.rounds += fitting.fit(
                 self.misfit, self.poses, self.sizes, members, frame, begun, 0, np.zeros(3), np.zeros((0, 3)),
                 information, self.start.temper, ROUNDS, TOLERANCE, curvature,
             )[1]  # fmt: skip
 
-        fit(False)
+        fit()
         if self._off_more(members):  # outlines may be off by several pixels
             frame[:] = begun
             self.place()
-            fit(True)
-            fit(False)
+            for loose in (True, False):
+                self.loosen(loose)
+                fit()
         self.view = frame @ inverse(middle)
         self.place()
         jump = self.view @ inverse(expected)
@@ -383,7 +383,10 @@ class Tracker(Drawing):
                 continue
             there, room = self._expected(thing), self._information(thing)
             self.draw(k, there)
-            curvature = self.fit_from_afar(k, there, room, free=False)
+            if rests:
+                curvature = self.fit_from_afar(k, there, room, free=False)
+            else:
+                _, curvature = self.fit(k, there, room, free=False)
             if self.unexplained(k):
                 curvature = self._search(k, there, room, curvature)
             price = WAKES * rests + narrowed(room[:6, :6], curvature[:6, :6])
