@@ -171,18 +171,24 @@ class Smoother:
     def _grow(self, k: int, fits: list[Fit | None]) -> None:
         """Give thing k the size that all frames and what was known before tell together.
 
-        Outlines are off alike in all frames; those in which it rests, so that they fall on the same pixels, tell as
-        much as one.
+        Outlines are off alike in all frames, and by as much again by where each falls between pixels: one along a row
+        seemed to tell a hundred times what others do, and kept a size that was 4 mm off. Frames in which the thing
+        rests, so that outlines fall on the same pixels, tell as much as one.
         """
         thing, known = self.tracker.things[k], self.known[k]
-        ties = thing.ties / thing.ties.sum(axis=1, keepdims=True)
+        ties, off = thing.ties / thing.ties.sum(axis=1, keepdims=True), self.tracker.bias(thing) ** 2
         told, grown = np.zeros((len(ties), len(ties))), np.zeros(len(ties))
         rests = max(int((self.states[:, k] == STILL).sum()), 1)
         for fit, state in zip(fits, self.states[:, k], strict=True):
             if fit is not None:
-                share = 1.0 / rests if state == STILL else 1.0
-                told, grown = told + share * fit.told, grown + share * fit.grown
-        alike = np.linalg.inv(np.eye(len(ties)) + self.tracker.bias(thing) ** 2 * told)
+                share = (1.0 / rests if state == STILL else 1.0) * discount(fit.told, off)
+                told, grown = told + share @ fit.told, grown + share @ fit.grown
+        alike = discount(told, off)
         before = np.linalg.inv(known.covariance[RIGID:, RIGID:])
         change = alike @ grown + before @ (ties @ (known.size - thing.size))
         thing.size = thing.size + np.linalg.solve(alike @ told + before, change) @ thing.ties
+
+
+def discount(told: np.ndarray, variance: float) -> np.ndarray:
+    """Return by what (G, G) a precision (G, G) is to be multiplied where each number is off by a variance besides."""
+    return np.linalg.inv(np.eye(len(told)) + variance * told)
