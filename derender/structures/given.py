@@ -29,8 +29,7 @@ from derender.posterior.sampler import WALKS, MixtureSampler, Population, Settin
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.results.trust import FITS, doubtful, enough_draws
-from derender.sampling import diagnostics
+from derender.results.trust import FITS
 from derender.sampling.chains import (
     DETECTED,
     POPULATIONS,
@@ -40,7 +39,6 @@ from derender.sampling.chains import (
     Plan,
     child_seed,
     fingerprint,
-    run_chains,
     stream,
 )
 from derender.sampling.evidence import Evidence, shares
@@ -51,7 +49,7 @@ from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes import Body
 from derender.structures.detected import places_of, solids_seen
 from derender.structures.options import Options, names_objects
-from derender.structures.parts import part_at, part_of, part_of_one
+from derender.structures.parts import part_at, part_of, part_of_one, run_until_agreed
 
 STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
 DRAWS_EACH, MOST_DRAWS = 20, 20_000  # of the prior for each that is found; and at most: equal ones count together
@@ -379,13 +377,8 @@ def _walk(
         done[chain] = steps
         tell(sum(done.values()) / (chains * most), "sampling")
 
-    while True:
-        outcome = run_chains(plan, jobs, report)
-        if options.method == "map" or not settings.goes_on or outcome.interrupted or outcome.lost:
-            return outcome
-        if not plan.draws < _enough(target, outcome, plan.draws) <= MOST_TIMES * draws:
-            return outcome
-        plan = plan._replace(draws=2 * plan.draws, records=outcome.records)
+    goes_on = settings.goes_on and options.method != "map"
+    return run_until_agreed(plan, target, MOST_TIMES * draws if goes_on else draws, jobs, report)
 
 
 def searched(
@@ -426,14 +419,6 @@ def searched(
         if short_of_noise(rng, likeliest.target, likeliest.places[-1]) < FITS:
             break
     return best
-
-
-def _enough(target: SceneTarget, outcome: Outcome, draws: int) -> int:
-    """Return how many draws of each chain are enough to be trusted, going by the first so many: 0 where these are."""
-    columns = np.stack([record.values[:draws] for record in outcome.records.values()], axis=1).T  # (P, chains, draws)
-    rows = [{**diagnostics.summary(column, period), "draws": column}
-            for column, period in zip(columns, target.space.periods, strict=True)]  # fmt: skip
-    return enough_draws(rows) if any(map(doubtful, rows)) else 0
 
 
 def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:

@@ -101,7 +101,7 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
             as_it_came = whole_image(seen, case.depth, case.camera)
             coarse = settings._replace(reduced=seen.factor > 1)
             return known_posterior(rng, seen.image, as_it_came, state, coarse, seen.floor.pose, under, case.library,
-                                   others, *fewest)  # fmt: skip
+                                   others, *fewest, not only_best and case.options.draws is None)  # fmt: skip
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)
         return parts_of(rng, seen, state, pool, settings, *case.many, only_best, looks[0].refined)

@@ -1,6 +1,7 @@
 """Parts of a posterior: draws of the unknown numbers of one structure, and what all of its objects may be."""
 
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,14 @@ import numpy as np
 from derender.posterior.kernels.base import Part
 from derender.posterior.target import SceneTarget
 from derender.results.posterior import StructurePosterior
-from derender.sampling.chains import Record
+from derender.results.trust import LIMITS, QUICK_LIMITS, doubtful, enough_draws, misleads
+from derender.sampling import diagnostics
+from derender.sampling.chains import Outcome, Plan, Progress, Record, run_chains
+
+
+def silent(chain: int, steps: int, most: int) -> None:
+    """Tell nobody of progress."""
+
 
 LEAST_LIKELY, MOST_STRUCTURES = 1e-3, 24  # share of the likeliest's weight that one told has; how many, at most
 
@@ -30,6 +38,36 @@ def part_of(target: SceneTarget, records: list[Record], mixed: list[Part]) -> St
     densities = np.stack([record.densities[:length] for record in chosen])
     told = {name: rate for name, rate in acceptance.items() if not math.isnan(rate)}
     return part_at(target, values, densities, 1.0, {"acceptance": told})
+
+
+def run_until_agreed(
+    plan: Plan, target: SceneTarget, most: int, jobs: int, report: Progress = silent, until: float | None = None,
+    closely: bool = True,
+) -> Outcome:  # fmt: skip
+    """Return the Outcome of chains that go on, twice as long each time, while they disagree and it is worth it.
+
+    most : draws of each chain beyond which they are not gone on with; as many as the plan has: they are not at all.
+    jobs : how many run at a time. report : told of progress, as `run_chains` does. until : of the monotonic clock.
+    closely : whether they are to agree as is asked of many draws, and are given up where that takes more than `most`;
+        else as is enough to be trusted, and all the way, as what few draws say that it takes may be several times off.
+    """
+    while True:
+        outcome = run_chains(plan, jobs, report)
+        if plan.draws >= most or outcome.interrupted or outcome.lost or (until and time.monotonic() > until):
+            return outcome
+        wanted = _enough(target, outcome, plan.draws, closely)
+        if wanted <= plan.draws or (closely and wanted > most):
+            return outcome
+        plan = plan._replace(draws=2 * plan.draws, records=outcome.records)
+
+
+def _enough(target: SceneTarget, outcome: Outcome, draws: int, closely: bool) -> int:
+    """Return how many draws of each chain are enough to be trusted, going by the first so many: 0 where these are."""
+    columns = np.stack([record.values[:draws] for record in outcome.records.values()], axis=1).T  # (P, chains, draws)
+    rows = [{**diagnostics.summary(column, period), "draws": column}
+            for column, period in zip(columns, target.space.periods, strict=True)]  # fmt: skip
+    far, largest = (doubtful, LIMITS[0]) if closely else (misleads, QUICK_LIMITS[0])
+    return enough_draws(rows, largest) if any(map(far, rows)) else 0
 
 
 def part_at(

@@ -14,7 +14,7 @@ from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import Settings, read_settings
 from derender.sampling import diagnostics
-from derender.structures import given
+from derender.structures import given, parts
 from derender.structures.given import infer_scene, targets
 from derender.structures.options import Options
 
@@ -134,7 +134,8 @@ def test_particles_that_someone_stops_leave_the_populations_that_are_done_or_the
 
 
 def test_chains_that_disagree_go_on_as_if_never_stopped(monkeypatch):
-    monkeypatch.setattr(given, "_enough", lambda target, outcome, draws: 40 if draws < 40 else 0)  # twice they disagree
+    twice = lambda target, outcome, draws, closely: 40 if draws < 40 else 0  # noqa: E731  so often they disagree
+    monkeypatch.setattr(parts, "_enough", twice)
     world, _, image = image_of(TOWER)
     few = Settings(draws=10, warmup=20, chains=2, thin=2, population=1)
     shapes = []
@@ -153,7 +154,7 @@ def test_chains_that_are_apart_need_more_draws_and_others_none():
     for apart, more in ((0.0, False), (0.01, True)):
         places = [truth + apart * k + 1e-3 * rng.standard_normal((400, len(truth))) for k in range(2)]
         outcome = SimpleNamespace(records={k: SimpleNamespace(values=values) for k, values in enumerate(places)})
-        assert (given._enough(target, outcome, 400) > 400) == more
+        assert (parts._enough(target, outcome, 400, True) > 400) == more
 
 
 def test_map_is_one_scene_no_worse_than_the_truth():

@@ -21,19 +21,20 @@ from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
-from derender.sampling.chains import Plan, run_chains
+from derender.sampling.chains import Plan
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph, Vertex, floating, relative_pose
 from derender.scene.pose import from_axes
 from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.structures.known.identities import SHOWN, Placed, Placement, identity_probabilities, state_of
 from derender.structures.known.library import GAP, Known
-from derender.structures.parts import LEAST_LIKELY, likeliest, part_of, part_of_one
+from derender.structures.parts import LEAST_LIKELY, likeliest, part_of, part_of_one, run_until_agreed
 from derender.structures.unexplained import spots_left
 
 Seen = Callable[[SceneGraph], ObservedImage]
 
 WARMUP = 400  # rounds of the chains before their first draw, in which steps shrink from centimetres to what images tell
+MOST_TIMES = 32  # the draws that are usual, of chains that go on because they disagree: those are cheap, searches dear
 DIFFERENCE = 1e-6  # of a number of a contact, by which metres for each of it are told
 EIGHTH = 0.25 * math.pi  # of a turn: farther on a box is another one, its length and width swapped
 NEAR = 0.1  # metres along a floor from where an object was placed that it may be
@@ -52,6 +53,7 @@ def known_posterior(
     others: bool,
     chains: int,
     draws: int,
+    goes_on: bool = False,
 ) -> list[StructurePosterior]:
     """Return the structures: the most probable identities with full chains, others as they are polished.
 
@@ -61,6 +63,7 @@ def known_posterior(
     seen : from a scene to the whole image bound to the likelihood that it suggests given that scene.
     library : Known objects.
     others : whether solids that are none of them may be there.
+    goes_on : whether chains that disagree after so many draws make more.
 
     The first part's extras hold `identities`: for each object, the probability of each name of the library.
     """
@@ -82,7 +85,8 @@ def known_posterior(
         }
         for name, found, share in zip(names, options, probabilities, strict=True)
     }  # fmt: skip
-    best = part_of_known(rng, placement, placed, names, floor_pose, seen, chains, draws)
+    most = MOST_TIMES * draws if goes_on else draws
+    best = part_of_known(rng, placement, placed, names, floor_pose, seen, chains, draws, most)
     parts = [replace(best, extras={**best.extras, "identities": identities})]
     leading = tuple(int(np.argmax(share)) for share in probabilities)
     total = 1.0 / float(np.prod([share.max() for share in probabilities]))  # of all, told or not
@@ -142,9 +146,11 @@ def pose_of_known(row: np.ndarray) -> np.ndarray:
 
 def part_of_known(
     rng: np.random.Generator, placement: Placement, placed: list[Placed], names: list[str], floor_pose: np.ndarray,
-    seen: Seen, chains: int, draws: int,
+    seen: Seen, chains: int, draws: int, most: int = 0,
 ) -> StructurePosterior:  # fmt: skip
     """Return draws of all numbers under given identities, by chains from where things were placed; of one the place.
+
+    most : draws of each chain up to which those that disagree go on.
 
     The extras of draws hold the `spots` that the likeliest of them leaves.
     """
@@ -163,7 +169,7 @@ def part_of_known(
     seed = int(rng.integers(2**63))
     sampler = MixtureSampler(target, parts, places=start[None]).prepared(seed)
     plan = Plan(sampler, seed, chains, WARMUP, draws)
-    outcome = run_chains(plan, THREADS)
+    outcome = run_until_agreed(plan, target, most, THREADS, until=placement.settings.until, closely=False)
     part = part_of(target, list(outcome.records.values()), parts)
     if part is None or outcome.interrupted:
         raise KeyboardInterrupt
@@ -204,8 +210,10 @@ def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str], unseen: li
                 continue  # how a can that carries nothing is turned about itself nothing tells
             bounded = math.isfinite(parameter.upper - parameter.lower)
             low, high = (parameter.lower, parameter.upper) if bounded else (value - NEAR, value + NEAR)
-            if name in unknown and parameter.name == "theta" and vertex.shape == "box":
+            if parameter.name == "theta" and name in unknown and vertex.shape == "box":
                 low, high = value - EIGHTH, value + EIGHTH
+            elif parameter.name == "theta" and parameter.period and graph.children(name):  # they go by its axes
+                low, high = value - 0.5 * parameter.period, value + 0.5 * parameter.period
             if name in unseen:
                 off, turns = GAP / metres_of(graph, vertex, parameter.name), graph.period(address) is not None
                 low, high = (value - off, value + off) if turns else (max(low, value - off), min(high, value + off))
