@@ -90,6 +90,8 @@ def find_frames(
             paths = {argument: Path(argument).stem if argument != "-" else "scene"}
         told = f"{len(shallow)} PNG{'s' * (len(shallow) != 1)} of 8 bits a pixel (colours or masks)"
         if not paths and not empty:
+            if os.path.isdir(argument) and output in (here := Path(os.path.realpath(argument)), *here.parents):
+                raise DerenderError("the results would lie where the frames do", argument, "choose another -o")
             but = f" but {told}" if shallow else ""
             raise DerenderError(f"no depth image is there{but}", argument, f"a frame is one of {' '.join(SUFFIXES)}")
         if shallow:

@@ -55,6 +55,9 @@ def test_frames_are_found_in_folders_patterns_and_by_name(tmp_path):
     assert [frame.name for frame in named] == ["colour", "missing"]
     with pytest.raises(DerenderError, match="no depth image is there;"):
         find_frames([str(folder / "*.exr")], tmp_path)
+    for output in (folder, tmp_path):  # what lies in the results' folder is no frame
+        with pytest.raises(DerenderError, match="the results would lie where the frames do; choose another -o"):
+            find_frames([str(folder)], output)
     with pytest.raises(DerenderError, match="no depth image is there but 1 PNG of 8 bits"):
         find_frames([str(folder / "*.png")], tmp_path / "out")
 
