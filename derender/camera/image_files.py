@@ -217,8 +217,11 @@ def encode_npz(depth: np.ndarray, camera: Camera, meta: dict[str, Any], label: n
     return stream.getvalue()
 
 
+PINHOLE = ("fx", "fy", "cx", "cy")
+
+
 def decode_npz(data: bytes) -> Decoded:
-    """Decode an .npz as derender writes it, or of others with one array or `depth` and `K`."""
+    """Decode an .npz as derender writes it, or of others with one array, or `depth` and `K` or fx, fy, cx, cy."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         sizes = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         if sum(info.file_size for info in sizes.values()) > MOST_BYTES:
@@ -229,11 +232,14 @@ def decode_npz(data: bytes) -> Decoded:
             raise DerenderError(f"no array `depth` among {kinds}", remedy="give an .npz as derender writes it")
         array = _load_npy(archive.read(sizes[name]))
         texts = {key: _load_npy(archive.read(sizes[key])) for key in ("camera", "meta") if key in sizes}
+        pinhole = {key: _load_npy(archive.read(sizes[key])) for key in PINHOLE if key in sizes}
         matrix = next((_load_npy(archive.read(sizes[k])) for k in ("K", "intrinsics") if k in sizes), None)
     trees = {key: parse_json(str(text.item()), key) for key, text in texts.items()}
     camera = trees.get("camera")
     if camera is None and matrix is not None:
         camera = {"K": matrix.ravel().tolist()}
+    if camera is None and len(pinhole) == len(PINHOLE):
+        camera = {key: each.item() if each.size == 1 else each.tolist() for key, each in pinhole.items()}
     meta = trees.get("meta")
     return Decoded(array, camera, meta if isinstance(meta, dict) else {})
 
