@@ -1,6 +1,9 @@
 """A scene graph as a tree of lines for the terminal; the structures of a posterior in words."""
 
 import math
+from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 from derender.results.posterior import Posterior
@@ -122,27 +125,47 @@ def hidden_words(posterior: Posterior) -> list[str]:
     return [f"things that nothing shows: {expected:.2f} expected behind what is seen".replace("0.", ".")]
 
 
+LEAST_ALIKE = 4  # neighbours of which the same is said that are told together
+
+
 def structure_words(graph: SceneGraph, other: SceneGraph | None = None) -> str:
     """Return who rests on what, in words; other : a graph from which only what differs is told."""
     before = {} if other is None else {vertex.name: vertex for vertex in other.vertices}
-    words = []
+    told = []
     for vertex in graph.vertices:
         if vertex.shape in ("plane", "frame"):
             continue
-        told, old = _words(vertex), before.pop(vertex.name, None)
-        if old is None or told != _words(old):
-            words.append(told)
+        where, old = _where(vertex), before.pop(vertex.name, None)
+        if old is None or where != _where(old):
+            told.append((vertex.name, where))
         elif _touch(vertex) != _touch(old):
-            words.append(f"{told}, {_touch(vertex)}")
+            told.append((vertex.name, f"{where}, {_touch(vertex)}"))
+    words = _together(told, "{names} {what}")
     if other is None:
         return ", ".join(words) or "nothing"
-    words += [f"no {name}" for name, vertex in before.items() if vertex.shape not in ("plane", "frame")]
+    gone = [(name, "") for name, vertex in before.items() if vertex.shape not in ("plane", "frame")]
+    words += _together(gone, "no {names} {what}")
     return "the same, but " + ", ".join(words) if words else "the same"
 
 
-def _words(vertex: Vertex) -> str:
+def _together(told: Sequence[tuple[str, str]], form: str) -> list[str]:
+    """Return the words of pairs (name, what is said of it); of many neighbours alike the first and the last are named.
+
+    A pallet of 27 cartons filled seven lines of a terminal, and each of its alternatives as many.
+    """
+    words = []
+    for what, group in groupby(told, key=itemgetter(1)):
+        names = [name for name, _ in group]
+        count = len(names)
+        if count >= LEAST_ALIKE:
+            names, what = [f"{names[0]} ... {names[-1]}"], what.replace("(", f"({count} x ", 1) or f"({count})"
+        words += [form.format(names=name, what=what).rstrip() for name in names]
+    return words
+
+
+def _where(vertex: Vertex) -> str:
     where = "floats" if vertex.parent == "root" else "on " + " and ".join((vertex.parent, *vertex.supports))
-    return f"{vertex.name} ({vertex.shape}) {where}"
+    return f"({vertex.shape}) {where}"
 
 
 def _touch(vertex: Vertex) -> str:

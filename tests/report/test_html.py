@@ -101,6 +101,13 @@ def test_of_a_second_structure_only_what_differs_is_told():
     other = graph.remove("c").replace("b", shape="cube").replace("a", contact=Contact("face-to-face", "+z", "-x"))
     assert structure_words(other, graph) == "the same, but a (box) floats, face-to-face -x on +z, b (cube) floats, no c"
     assert structure_words(graph, graph) == "the same"
+    many = SceneGraph(np.eye(4), tuple(Vertex(f"box_{k}", "box", {}, "root", Contact("6dof")) for k in range(1, 13)))
+    assert structure_words(many) == "box_1 ... box_12 (12 x box) floats"
+    assert structure_words(graph, many) == f"the same, but {structure_words(graph)}, no box_1 ... box_12 (12)"
+    few = many.replace("box_3", shape="cube").remove("box_12")
+    assert structure_words(few).startswith(
+        "box_1 (box) floats, box_2 (box) floats, box_3 (cube) floats, box_4 ... box_11"
+    )
 
 
 def test_a_broad_scene_graph_lies_so_that_its_words_can_be_read():
