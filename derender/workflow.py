@@ -25,7 +25,6 @@ from derender.structures.precompile import precompile
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
 ROOM = 2_000_000  # bytes that have to be free before hours are spent: a result of 640 x 480 pixels takes about so many
-MASKS = "scipy.ndimage"  # takes a tenth of a second to import: beside the loading of kernels
 WRITERS = ("derender.report.html", "derender.results.predictive", "h5py")  # modules that only the files need
 # Of a scene whose objects are given nothing remains to be said of what there is.
 FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")
@@ -80,7 +79,6 @@ def infer_to_folder(
     Raises DerenderError : whatever is wrong with the images, the camera, the poses, the prior or the folder.
     """
     started = time.monotonic()
-    import_in_background(MASKS)
     if frames:
         options = replace(options, frames=read_frames([image, *frames], poses, reading))
     folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")

@@ -8,6 +8,7 @@ are. (On 51 real frames, most of them of Kinects, over two; thinned by as many, 
 
 import numpy as np
 
+from derender.camera.windows import least
 from derender.detection.floor import pixel_noise
 
 # Share of the depth by which what is beyond a silhouette is farther, and standard deviations of a pixel's own noise:
@@ -97,12 +98,10 @@ def fattened(depth: np.ndarray) -> bool:
 def thinned(depth: np.ndarray) -> np.ndarray:
     """Return a depth image (H, W) without the last pixel of each silhouette: there it is as deep as what lies beyond,
     or nothing returned where nothing did."""
-    from scipy.ndimage import minimum_filter
-
     there = depth > 0.0
     inverse = np.where(there, 1.0 / np.where(there, depth, 1.0), np.inf)
-    farthest = minimum_filter(inverse, 3)
-    behind = minimum_filter(np.where(there, inverse, minimum_filter(inverse, 2 * SHADOW + 1)), 3)
+    farthest = least(inverse, 1)
+    behind = least(np.where(there, inverse, least(inverse, SHADOW)), 1)
     near = jump_of(depth) * np.where(there, inverse, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         beyond = np.where(inverse - farthest > near, 1.0 / farthest, np.nan)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import greatest
 from derender.compilation.cache import njit
 from derender.detection.patches import local_planes
 from derender.detection.pyramid import estimate_blur, noise_of
@@ -175,7 +176,7 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: Camera) -> Floor:
         if blurred > 0.0:  # what stands there leaks into the pixels about it by less than their noise, but into many
             other = np.zeros(depth.shape, bool)
             other.flat[good] = np.abs(residual) > NO_FLOOR * sigma
-            on &= ~near(other, blur_radius(blurred)).flat[good]
+            on &= ~greatest(other, blur_radius(blurred)).flat[good]
         if on.sum() < FEWEST or (on == before).all():
             break
         change = np.column_stack([-rays[on] / w[on, None] ** 2, steepness**2 / w[on] ** 3]) / sigma[on, None]
@@ -199,13 +200,6 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: Camera) -> Floor:
         return floor
     scale = 1.4826 * float(np.median(np.abs(flat[told.inliers.ravel()[good]] @ normal - offset)))
     return floor_on(depth.shape, good, flat, normal, offset, scale, np.ones(len(good)))
-
-
-def near(mask: np.ndarray, reach: int) -> np.ndarray:
-    """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
-    from scipy.ndimage import maximum_filter
-
-    return maximum_filter(mask, 2 * reach + 1, mode="constant")
 
 
 def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:

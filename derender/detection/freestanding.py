@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from derender.camera.windows import total
 from derender.compilation.cache import njit
 from derender.detection.outline import ends_of
 from derender.detection.patches import SeenSurface
@@ -168,8 +169,6 @@ def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> flo
 
 def returns_about(seen: "Observation") -> float:
     """Return the share of the eight neighbours of an Observation's pixels that have a depth as these do."""
-    from scipy.ndimage import convolve
-
     good = (seen.image.weight > 0).astype(float)
-    about = convolve(good, np.ones((3, 3)), mode="constant") - good
+    about = total(good, 1) - good
     return float((about * good).sum() / max(8.0 * good.sum(), 1.0))

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.windows import shrunk
 from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of, without_thing
 from derender.detection.outline import ends_of
@@ -60,8 +61,6 @@ def leftovers(
     The image is changed as by `take_things`. What seems to be a seam along a silhouette stays as it is, with how
     probable it is an object after all.
     """
-    from scipy.ndimage import binary_erosion
-
     image, found, clutter, seams = seen.image, [], [], []
     if settings.temper == 1.0 or not seen.mask.any():
         return seen, state, found, clutter
@@ -80,7 +79,7 @@ def leftovers(
             continue
         probability, _ = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
         exists = probability > LEAST_EXISTENCE
-        if not exists and (binary_erosion(whole) & left).sum() < INNER * mask.sum():
+        if not exists and (shrunk(whole, 1) & left).sum() < INNER * mask.sum():
             seams.append((mask, probability))
             continue
         part = None if exists else goes_on_from(seen, state, mask)

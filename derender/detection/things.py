@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.windows import greatest, total
 from derender.compilation.cache import njit
 from derender.detection.background import cut_short, frame_seen, is_background, quarter_turns, turned
-from derender.detection.floor import near
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
 from derender.detection.patches import components, separation
@@ -36,7 +36,7 @@ from derender.scene.solids import BOX
 
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
-NOISE, SOME = 0.5, 5  # misfit that noise leaves of a pixel; pixels of a window over which it leaves about that
+NOISE, SOME = 0.5, 2  # misfit that noise leaves of a pixel; reach of a window over which it leaves about that
 FEWEST = 12  # pixels of a thing
 INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
 LARGEST = 0.6  # metres: what is larger is furniture or a wall
@@ -176,10 +176,8 @@ def cost_of(seen: Observation, believed: Things) -> Cost:
     smooth = smooth_surface(seen.image.depth, mask)
     misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
     if seen.correlation <= CORRELATED:
-        from scipy.ndimage import uniform_filter
-
-        about, many = (uniform_filter(values, SOME) for values in (np.where(mask, misfit, 0.0), mask.astype(float)))
-        misfit = np.maximum(about / np.maximum(many, 1.0 / SOME**2), NOISE)
+        about, many = (total(values, SOME) for values in (np.where(mask, misfit, 0.0), mask.astype(float)))
+        misfit = np.maximum(about / np.maximum(many, 1.0), NOISE)
     return Cost(area, crease, misfit, normal, believed)
 
 
@@ -409,7 +407,7 @@ def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int
     blur = np.sqrt(2.0 * np.sum(taps * np.arange(taps.size) ** 2))
     clear, reach = mask, 0
     while reach < round(SMEARED * blur):
-        inner = ~near(~clear, 1)
+        inner = ~greatest(~clear, 1)
         if inner.sum() < max(CLEAR * mask.sum(), FEWEST):
             break
         clear, reach = inner, reach + 1

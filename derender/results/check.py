@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
+from derender.camera.windows import greatest, labelled, least, of_five, opened
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
@@ -143,12 +144,10 @@ def check_fit(
 def beside(graph: SceneGraph, fit: Fit, doubts: list[Doubt]) -> list[Doubt]:
     """Return doubts about regions with the objects that these touch, in doubt where it is serious: what lies elsewhere
     may be missed, or clutter, and says nothing of these."""
-    from scipy.ndimage import binary_dilation
-
     told = []
     for doubt in doubts:
         mask = np.any([region.mask for region in doubt.regions], axis=0) & doubt.serious
-        touched = np.unique(fit.label[binary_dilation(mask, np.ones((3, 3)), max(2, mask.shape[1] // BESIDE))])
+        touched = np.unique(fit.label[greatest(mask, max(2, mask.shape[1] // BESIDE))])
         told.append(doubt._replace(about={graph.names[k - 1] for k in touched if k > 0}))
     return told
 
@@ -200,11 +199,7 @@ def windows(places: Sequence[Sequence[float]], valid: np.ndarray) -> list[Region
 
 def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
     """Return the Regions of a mask (H, W), the largest first, without what is thin or small; valid : (H, W) bool."""
-    from scipy.ndimage import binary_opening
-    from scipy.ndimage import label as label_regions
-
-    wide = 2 * max(1, round(mask.shape[1] / THIN)) + 1
-    label, count = label_regions(binary_opening(mask, np.ones((wide, wide))))
+    label, count = labelled(opened(mask, max(1, round(mask.shape[1] / THIN))))
     sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
     order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
     return tuple(Region(name, label == k + 1, float(sizes[k])) for name, k in zip(cycle(LETTERS), order, strict=False))
@@ -282,8 +277,6 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
 def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return doubts about solids that are predicted where nothing returned, or something else is seen, that fill the
     image, or that its border cuts: of those that are predicted to show in FEW_PIXELS or more."""
-    from scipy.ndimage import binary_erosion
-
     doubts = []
     elsewhere = float((~valid)[fit.label == 0].mean()) if (fit.label == 0).any() else 0.0
     for place, name in enumerate(graph.names, start=1):
@@ -293,7 +286,7 @@ def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt
         region = Region(name, mask, mask.sum() / valid.sum())
         missing, filled = float((~valid)[mask].mean()), float(mask.mean())
         fitting = float(fit.explained[mask & valid].mean()) if missing < 1.0 else 1.0
-        outline = int((mask & ~binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
+        outline = int((mask & ~least(mask, 1)).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         share_cut = cut / max(outline + cut, 1)
         told = []
@@ -373,8 +366,6 @@ def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -
 
 def faces_of(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:
     """Return the Faces of floors and of boxes that the image (H, W) shows, told apart by the best scene."""
-    from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
-
     poses, points = graph.poses(), camera.points(fit.predicted)
     planar = fit.explained & ~fit.background & (fit.label == FLOOR)
     key = np.full(fit.label.shape, -1)
@@ -387,8 +378,7 @@ def faces_of(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) 
             local = (points[mask] - pose[:3, 3]) @ pose[:3, :3] / np.array(size)
             axis = np.argmax(np.abs(local), axis=1)
             key[mask] = 6 * place + 2 * axis + (np.take_along_axis(local, axis[:, None], axis=1)[:, 0] > 0.0)
-    cross = generate_binary_structure(2, 1)
-    alike = minimum_filter(key, footprint=cross) == maximum_filter(key, footprint=cross)
+    alike = of_five(np.minimum, key) == of_five(np.maximum, key)
     rows, columns = np.nonzero(alike & np.isfinite(observed) & (key >= 0))
     numbers, found = key[rows, columns], []
     for number in np.unique(numbers):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import greatest, least
 from derender.compilation.cache import njit
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
@@ -148,11 +149,8 @@ def tolerance_of(observed: np.ndarray, noise: Noise) -> np.ndarray:
 
 def neighbourhood(depth: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest depth (H, W) within `reach` rows and columns; NaN counts for nothing."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
     low, high = np.where(np.isfinite(depth), depth, np.inf), np.where(np.isfinite(depth), depth, -np.inf)
-    side = 2 * reach + 1
-    return minimum_filter(low, side, mode="nearest"), maximum_filter(high, side, mode="nearest")
+    return least(low, reach), greatest(high, reach)
 
 
 FLOOR, BACKGROUND, UNEXPLAINED = -1, -2, -3

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import shrunk
 from derender.detection.pyramid import spread_of
 from derender.detection.solids.beliefs import Beliefs, box_log_density
 from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, without
@@ -70,9 +71,7 @@ def shown(
 
     depth, sigma : (H, W) metres. mask : (H, W) bool, where the box is what is seen. pose : (4, 4), box to camera.
     """
-    from scipy.ndimage import binary_erosion
-
-    good = np.isfinite(depth) & binary_erosion(mask, iterations=RIM)
+    good = np.isfinite(depth) & shrunk(mask, RIM)
     inner = inverse(pose)
     way, origin = camera.rays()[good] @ inner[:3, :3].T, inner[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):

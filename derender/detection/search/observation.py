@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
+from derender.camera.windows import greatest
 from derender.detection.background import (
     beyond_outline,
     main_part,
@@ -29,7 +30,6 @@ from derender.detection.floor import (
     drawn,
     floor_beside,
     given_floor,
-    near,
     neighbour_correlation,
     noise_map,
     pixel_noise,
@@ -370,7 +370,7 @@ def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, bac
     grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
     image.floor[grazing] = image.depth[grazing]
     if correlation > CORRELATED:  # the sensor bends the plane: a solid that smooths that out is none
-        away = good & ~mask & ~near(mask, int(AWAY * scale / np.median(footprint[good])) + 1)
+        away = good & ~mask & ~greatest(mask, int(AWAY * scale / np.median(footprint[good])) + 1)
         image.floor[away] = image.depth[away]
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,

@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import grown
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED, of_whole_image
 from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
@@ -160,7 +160,7 @@ def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
     if not (observed > 0.0).any():
         return observed
     reach = float(np.quantile(np.abs(observed[np.isfinite(observed)]), REACHED))
-    beside = binary_dilation((observed > 0.0) & (observed < floor), iterations=BESIDE)
+    beside = grown((observed > 0.0) & (observed < floor), BESIDE)
     return np.where(np.isnan(observed) & (floor > reach) & beside, -reach, observed)
 
 
