@@ -61,6 +61,11 @@ class Kernel:
             version = self.version(arguments)
         return version.call(*arguments)
 
+    def bound(self, *arguments) -> Callable:
+        """Return what is called for arguments of these types, which then are looked at no more: that takes longer than
+        many a kernel."""
+        return self.version(arguments).call
+
     def version(self, arguments) -> Version:
         """Return what was compiled for arguments of these types: loaded, or compiled now."""
         key = fingerprints(arguments)

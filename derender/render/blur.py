@@ -23,11 +23,9 @@ def blur_taps(sigma: float) -> np.ndarray:
 
 @lru_cache(maxsize=64)  # chains whose blur is open draw it from the same few again and again
 def _taps(sigma: float) -> np.ndarray:
-    radius = blur_radius(sigma)
-    if radius == 0:
-        return np.ones(1)
-    taps = np.exp(-0.5 * (np.arange(radius + 1) / sigma) ** 2)
-    return taps / (taps[0] + 2.0 * taps[1:].sum())
+    taps = [math.exp(-0.5 * (k / sigma) ** 2) if k else 1.0 for k in range(blur_radius(sigma) + 1)]
+    total = 2.0 * sum(taps) - 1.0
+    return np.array([tap / total for tap in taps])
 
 
 def blur(image: np.ndarray, sigma: float) -> np.ndarray:

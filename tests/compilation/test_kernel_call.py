@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from derender.compilation import cache, entries
 from derender.compilation.cache import address_of, call_for_nothing, call_for_number, njit
 
 
@@ -70,3 +71,17 @@ def test_who_borrows_counts_no_references_and_makes_no_arrays():
         njit(lambda rows: rows[0], borrows=True)(rows)
     with pytest.raises(Exception, match="NRT"):
         njit(lambda rows: np.empty(3).sum(), borrows=True)(rows)
+
+
+def test_what_is_bound_to_types_is_called_without_a_look_at_them(monkeypatch):
+    """Of nested arrays that takes longer than many a kernel: a walk that Python drives did so five times a step."""
+    kernel = njit(lambda values, factor: factor * values.sum())
+    assert kernel(np.ones(3), 2.0) == 6.0
+    bound = kernel.bound(np.ones(3), 2.0)
+
+    def looked(value):
+        raise AssertionError("it was looked at")
+
+    monkeypatch.setattr(cache, "fingerprint", looked)
+    monkeypatch.setattr(entries, "fingerprint", looked)
+    assert bound(np.ones(4), 3.0) == 12.0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.cache import Kernel, address_of, interpreted
-from derender.posterior.compiled.evaluate import attempt, load, settle
+from derender.posterior.compiled.evaluate import attempt, loader, settle
 from derender.posterior.compiled.model import (
     Calls,
     NotCompiled,
@@ -67,6 +67,8 @@ class _Programmed:
             self._choices._replace(scale=scale), target.chain.values[NOW], float(tuning.temperature)
         )  # fmt: skip
         kept, counts, done = np.empty((draws, len(now))), np.zeros((len(self.parts), 2), np.int64), 0
+        if isinstance(walk, Kernel):
+            walk = walk.bound(rng, calls, target, steps, now, temperature, gain, done, thin, kept, counts)
         while done < draws * thin:
             done, k = walk(rng, calls, target, steps, now, temperature, gain, done, thin, kept, counts)
             if k >= 0:
@@ -178,6 +180,9 @@ class CompiledBackend(_Programmed):
         evaluator.load(self._first)
         chain = chain_of(target)
         self._blank = chain, evaluator
+        somewhere = np.ascontiguousarray(somewhere, np.float64)
+        self._log_prior = log_prior.bound(self.model.unknowns, self.model.laws, somewhere)
+        self._load = loader(self.model, chain, evaluator.for_steps(), somewhere)
         super().__init__(target, parts, taken_elsewhere(target, parts), calls_of(target, parts, self.model, chain))
         self._begin()
 
@@ -185,7 +190,7 @@ class CompiledBackend(_Programmed):
         """Take a chain and an engine of its own, in which nothing has happened yet."""
         chain, evaluator = self._blank
         self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
-        self._loaded = np.empty(0)
+        self._loaded = b""
         if not self._elsewhere:
             return
         self._trial = copy(self)
@@ -203,18 +208,20 @@ class CompiledBackend(_Programmed):
 
     def load(self, values: np.ndarray) -> None:
         """Make (P,) values inside the prior's support the current ones."""
-        if np.array_equal(values, self._loaded):
+        values = np.ascontiguousarray(values, np.float64)
+        if values.tobytes() == self._loaded:
             return
         if self.held:
             self.evaluator.set_values({name: float(values[at]) for name, at in self.held.items()}, rescore=False)
             if self.evaluator.state is None:
                 self.evaluator.load(self._first)
-        load(self.model, self.chain, self.evaluator.for_steps(), np.ascontiguousarray(values, np.float64))
-        self._loaded = np.array(values)
+        self._load(self.model, self.chain, self.evaluator.for_steps(), values)
+        self._loaded = values.tobytes()
 
     def evaluate(self, values: np.ndarray) -> tuple[float, float]:
         """Return log prior and log likelihood; -inf and -inf outside the prior's support."""
-        if log_prior(self.model.unknowns, self.model.laws, values) == -np.inf:
+        values = np.ascontiguousarray(values, np.float64)
+        if self._log_prior(self.model.unknowns, self.model.laws, values) == -np.inf:
             return -np.inf, -np.inf
         self.load(values)
         prior, likelihood = self.chain.values[NOW, [PRIOR, DENSITY]]
@@ -234,9 +241,9 @@ class CompiledBackend(_Programmed):
         self.load(values)
         target = Target(self.model, self.program(tuning), self.chain, self.evaluator.for_steps())
         calls = np.array([address_of(attempt, rng, target, np.int64(0), 1.0, 1.0), address_of(settle, target, True)])
-        self._loaded = np.empty(0)
+        self._loaded = b""
         stretch = self._stretch(rng, walk, calls, target, tuning, draws, thin, gain)
-        self._loaded = stretch.values[-1]
+        self._loaded = stretch.values[-1].tobytes()
         return stretch
 
     def _take(self, rng: np.random.Generator, k: int, scale: np.ndarray, target: Target, tuning: Tuning, gain: float,
@@ -249,7 +256,7 @@ class CompiledBackend(_Programmed):
         trial = self._trial
         self.chain, trial.chain = trial.chain, self.chain
         self.evaluator, trial.evaluator = trial.evaluator, self.evaluator
-        trial._loaded = np.empty(0)
+        trial._loaded = b""
         return target._replace(chain=self.chain, engine=self.evaluator.for_steps())
 
 

@@ -7,6 +7,7 @@ Objects that are put down in the world take the contacts that leave their childr
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -221,15 +222,24 @@ def _log_prior_of_all(model, chain):
     return log_prior(model.unknowns, model.laws, chain.values[NEXT]) + log_terms(model, chain)
 
 
-def load(model: Model, chain: Chain, engine: EngineState, start: np.ndarray) -> None:
-    """Make `start` (P,) the current values, in full; they must lie in the prior's support.
+def loader(model: Model, chain: Chain, engine: EngineState, start: np.ndarray) -> Callable[..., None]:
+    """Return what makes `start` (P,) the current values, in full, for arguments of the types of these; the values must
+    lie in the prior's support.
 
     Not compiled itself: that would compile the engine's full evaluation a second time, for eight seconds.
     """
-    put_all(model, chain, engine.parameters, start)
-    chain.values[NEXT, PRIOR] = _log_prior_of_all(model, chain)
-    chain.values[NEXT, DENSITY] = load_state(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
-    chain.values[NOW] = chain.values[NEXT]
+    put = put_all.bound(model, chain, engine.parameters, start)
+    log_prior_of = _log_prior_of_all.bound(model, chain)
+    draw = load_state.bound(engine, chain.moved_pose, chain.moved_size)
+
+    def load(model: Model, chain: Chain, engine: EngineState, start: np.ndarray) -> None:
+        put(model, chain, engine.parameters, start)
+        values = chain.values
+        values[NEXT, PRIOR] = log_prior_of(model, chain)
+        values[NEXT, DENSITY] = draw(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
+        values[NOW] = values[NEXT]
+
+    return load
 
 
 ELSEWHERE = -1  # form of a kernel whose steps the caller takes

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 
@@ -34,10 +35,19 @@ class Likelihood:
     scored: tuple[str, ...] = ()  # names of the type's own numbers that the engine's score reads, in its order
     of_image: tuple[str, ...] = ()  # names of the numbers on which `beside` depends
 
+    @cached_property
+    def known(self) -> dict[str, Parameter]:
+        """The parameters by name."""
+        return {parameter.name: parameter for parameter in self.parameters}
+
+    @cached_property
+    def defaults(self) -> dict[str, float]:
+        """What the parameters are where nothing is said."""
+        return {name: float(parameter.default or 0.0) for name, parameter in self.known.items()}
+
     def complete(self, values: Numbers) -> dict[str, float]:
         """Return a number for every parameter. Raises DerenderError : an unknown name, or a number out of range."""
-        known = {parameter.name: parameter for parameter in self.parameters}
-        result = {name: float(parameter.default or 0.0) for name, parameter in known.items()}
+        known, result = self.known, self.defaults.copy()
         for name, value in (values or {}).items():
             if name not in known:
                 raise DerenderError(
