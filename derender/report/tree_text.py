@@ -1,6 +1,7 @@
 """A scene graph as a tree of lines for the terminal; the structures of a posterior in words."""
 
 import math
+import re
 from collections.abc import Sequence
 from itertools import groupby
 from operator import itemgetter
@@ -149,7 +150,7 @@ def structure_words(graph: SceneGraph, other: SceneGraph | None = None) -> str:
 
 
 def _together(told: Sequence[tuple[str, str]], form: str) -> list[str]:
-    """Return the words of pairs (name, what is said of it); of many neighbours alike the first and the last are named.
+    """Return the words of pairs (name, what is said of it); of many neighbours alike the least and the greatest number.
 
     A pallet of 27 cartons filled seven lines of a terminal, and each of its alternatives as many.
     """
@@ -158,9 +159,15 @@ def _together(told: Sequence[tuple[str, str]], form: str) -> list[str]:
         names = [name for name, _ in group]
         count = len(names)
         if count >= LEAST_ALIKE:
+            names.sort(key=_by_numbers)
             names, what = [f"{names[0]} ... {names[-1]}"], what.replace("(", f"({count} x ", 1) or f"({count})"
         words += [form.format(names=name, what=what).rstrip() for name in names]
     return words
+
+
+def _by_numbers(name: str) -> list[tuple[int, str]]:
+    """Return what to sort names by so that box_2 comes before box_10."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _where(vertex: Vertex) -> str:

@@ -43,8 +43,8 @@ APART = 5.0  # nats between the evidences of populations that a few lucky partic
 SURE_EXISTENCE = 0.75  # probability that a trusted free-form thing is an object
 MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely as not, within the probability's error
 # Objects, and share of those told, that may be expected to be wrong: clutter that is told, and objects that are not.
-# One thing that is more likely clutter than three to two is too much. (Of 57 answers to variants of labelled real frames
-# with nothing else to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
+# One thing at less than three to two is too much. (Of 57 answers to variants of labelled real frames with nothing else
+# to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
 MOST_WRONG, FEW = 0.4, 0.05
 FITS = 4.0  # standard deviations by which noise alone hardly ever leaves an image less likely than others of its scene
 OFF = 0.1  # of an object's length: by less a real sensor tells its place, and what there is (an IoU of .8)

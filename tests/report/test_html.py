@@ -103,6 +103,8 @@ def test_of_a_second_structure_only_what_differs_is_told():
     assert structure_words(graph, graph) == "the same"
     many = SceneGraph(np.eye(4), tuple(Vertex(f"box_{k}", "box", {}, "root", Contact("6dof")) for k in range(1, 13)))
     assert structure_words(many) == "box_1 ... box_12 (12 x box) floats"
+    upwards = SceneGraph(np.eye(4), many.vertices[::-1])  # in no order of their names
+    assert structure_words(upwards) == structure_words(many)
     assert structure_words(graph, many) == f"the same, but {structure_words(graph)}, no box_1 ... box_12 (12)"
     few = many.replace("box_3", shape="cube").remove("box_12")
     assert structure_words(few).startswith(
