@@ -185,12 +185,12 @@ class Posterior:
         more was. How often a free-form thing is an object was counted over all answers."""
         total = sum(part.weight for part in self.parts)
         there = float(sum(part.weight for part in self.parts if part.tells_of(name)) / total) if total else 0.0
-        if name in self.meta.get("existence", {}):
-            return there * self._existence(name)[0]
-        return there * (1.0 - self.meta.get("missed", 0.0) ** 2 * self.meta.get("wrong_if_missed", 0.0))
+        things = {vertex.name for part in self.parts for vertex in part.graph.vertices if vertex.shape == "thing"}
+        missed = 0.0 if name in things else self.meta.get("missed", 0.0)
+        return there * self._existence(name)[0] * (1.0 - missed**2 * self.meta.get("wrong_if_missed", 0.0))
 
     def _existence(self, name: str) -> tuple[float, float]:
-        """Return the probability that a free-form thing of the structures is an object at all, and its error."""
+        """Return the probability that what the structures have by this name is an object at all, and its error."""
         known, error = self.meta.get("existence", {}).get(name, (1.0, 0.0))
         return float(known), float(error)
 

@@ -69,10 +69,6 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     if case.library:  # of whose answers no spots are counted
         extras = {**extras, "weighed": told.share(case.depth) >= believed.explained}
     missed = missed_by(observations, extras, believed, told.share(case.depth))
-    for vertex in graph.vertices:  # of free-form things it was counted over answers that missed something, too
-        if vertex.shape != "thing" and vertex.name in meta["existence"]:
-            known, error = meta["existence"][vertex.name]
-            meta["existence"][vertex.name] = (known * (1.0 - missed**2 * believed.wrong), error)
     meta.update(missed=missed, wrong_if_missed=believed.wrong, hanging=hanging(graph, case))
     return replace(
         posterior,

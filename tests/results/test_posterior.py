@@ -75,6 +75,9 @@ def test_what_a_search_may_have_missed_speaks_against_its_objects():
     meta = {"missed": 0.4, "wrong_if_missed": 0.5, "existence": {"low": (0.6, 0.1)}}
     posterior = Posterior((one.scaled(0.6),), meta=meta)
     assert posterior.object_probability("top") == pytest.approx(0.92)
+    assert posterior.object_probability("low") == pytest.approx(0.6 * 0.92)
+    free = replace(one, graph=one.graph.replace("low", shape="thing"))
+    posterior = Posterior((free.scaled(0.6),), meta=meta)
     assert posterior.object_probability("low") == pytest.approx(0.6), "counted over answers that missed something too"
 
 
