@@ -60,11 +60,6 @@ def quarter_turns(normal: np.ndarray) -> int:
     return 2 if up < 0.0 else 0
 
 
-def turned(array: np.ndarray, times: int) -> np.ndarray:
-    """Return an array (H, W, ...) turned by quarter turns."""
-    return np.ascontiguousarray(np.rot90(array, times))
-
-
 def standing_bodies(
     surface: SeenSurface,
     above: np.ndarray,
@@ -94,11 +89,7 @@ def standing_bodies(
         return not (
             np.mean(beyond[mask] > MARGIN) > OUTSIDE
             or along_edge(points[mask], beyond[mask])
-            or (
-                cut_off(points, mask, frame, real)
-                and (spans(mask, frame) or not shows_top(points[mask], normal[mask]))
-                and not shows_foot(surface, mask, beyond, frame)
-            )
+            or cut_short(surface, mask, normal, beyond, frame, real, WALL)
             or (not floating and floats(surface, mask))
         )
 
@@ -231,12 +222,18 @@ def sides_show(sight: np.ndarray) -> bool:
 
 
 def cut_short(
-    surface: SeenSurface, mask: np.ndarray, normal: np.ndarray, beyond: np.ndarray, frame: Sequence[int]
+    surface: SeenSurface,
+    mask: np.ndarray,
+    normal: np.ndarray,
+    beyond: np.ndarray,
+    frame: Sequence[int],
+    real: bool = True,
+    least: float = 0.0,
 ) -> bool:
-    """Return whether what shows as one solid is cut off by the image's border as a wall or a hand is, and shows neither
-    its top nor that it stands; takes what `is_background` does."""
+    """Return whether a body, or what shows as one solid, is cut off by the image's border as a wall or a hand is, and
+    shows neither its top nor that it stands; takes what `is_background` and `cut_off` do."""
     points = surface.points
-    cut = cut_off(points, mask, frame, least=0.0)
+    cut = cut_off(points, mask, frame, real, least)
     cut = cut and (spans(mask, frame) or not shows_top(points[mask], normal[mask]))
     return cut and not shows_foot(surface, mask, beyond, frame)
 

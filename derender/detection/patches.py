@@ -127,6 +127,11 @@ def local_planes(points, mask, origin, jump, radius):
     return normal, offset, error
 
 
+def turned(array: np.ndarray, times: int) -> np.ndarray:
+    """Return an array (H, W, ...) turned by quarter turns."""
+    return np.ascontiguousarray(np.rot90(array, times))
+
+
 class SeenSurface(NamedTuple):
     """What a camera shows of surfaces, in an upright frame."""
 
@@ -149,7 +154,7 @@ class SeenSurface(NamedTuple):
 
     def turned(self, times: int) -> "SeenSurface":
         """Return the surface as an image of it shows it that is turned by quarter turns, see `numpy.rot90`."""
-        points, good, footprint, jump = (np.ascontiguousarray(np.rot90(each, times)) for each in self[:-1])
+        points, good, footprint, jump = (turned(each, times) for each in self[:-1])
         return SeenSurface(points, good, footprint, jump, self.origin)
 
     def normals(self, mask: np.ndarray) -> np.ndarray:

@@ -14,10 +14,10 @@ import numpy as np
 
 from derender.camera.windows import greatest, total
 from derender.compilation.cache import njit
-from derender.detection.background import cut_short, frame_seen, is_background, quarter_turns, turned
+from derender.detection.background import cut_short, frame_seen, is_background, quarter_turns
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
-from derender.detection.patches import components, separation
+from derender.detection.patches import components, separation, turned
 from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation

@@ -8,14 +8,7 @@ import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
 from derender.camera.windows import greatest
-from derender.detection.background import (
-    beyond_outline,
-    main_part,
-    quarter_turns,
-    standing_bodies,
-    turned,
-    walls_behind,
-)
+from derender.detection.background import beyond_outline, main_part, quarter_turns, standing_bodies, walls_behind
 from derender.detection.floor import (
     GRAZING,
     MOST_NOISE,
@@ -50,7 +43,7 @@ from derender.detection.floors import (
     prior_of,
     tolerance_of,
 )
-from derender.detection.patches import Patches, SeenSurface, find_patches
+from derender.detection.patches import Patches, SeenSurface, find_patches, turned
 from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
