@@ -40,11 +40,10 @@ from derender.errors import DerenderError, at_fault
 from derender.registry import only_its_keywords
 
 TURNS = (0, 90, 180, 270)  # degrees clockwise
-FARTHEST = 1000.0  # metres; farther than any depth camera sees
+FARTHEST = 1000.0  # metres; farther than any depth camera sees: the sky, where a renderer's ray hits nothing
 FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
 NEAREST_MEDIAN = 0.002  # metres; likewise
 NEAREST = 1e-6  # metres; what is nearer is no return: its inverse square would overflow where noise is estimated
-SKY = 65504.0  # the largest half float: what Blender and others write into an .exr where a ray hits nothing
 
 
 class DepthImage(NamedTuple):
@@ -248,8 +247,6 @@ def _metres(
         depth = array.astype(np.float64)
         if scale is not None:
             depth *= scale / 1000
-        elif depth.max(initial=0, where=np.isfinite(depth)) >= SKY:
-            depth[depth >= SKY] = np.nan
     if array.dtype == np.uint16:
         depth[array == SATURATED] = np.nan
     depth[~np.isfinite(depth) | (np.abs(depth) < NEAREST)] = np.nan
@@ -262,12 +259,13 @@ def _metres(
         count = np.count_nonzero(valid < 0)
         remedy = "depth is positive in front of the camera; negate it if your tool looks along -z"
         raise DerenderError(f"{count} of {valid.size} depths are negative", path, remedy)
-    middle, farthest = float(np.median(valid)), float(valid.max())
-    if middle > FARTHEST_MEDIAN or farthest > FARTHEST or middle < NEAREST_MEDIAN:
+    near = valid[valid <= FARTHEST]
+    middle, farthest = float(np.median(near if near.size else valid)), float(valid.max())
+    if not NEAREST_MEDIAN <= middle <= FARTHEST_MEDIAN:
         what = f"the median depth is {middle:.3g} m, the largest {farthest:.3g} m"
         used = f"depth_scale is {scale:g} mm" if scale is not None else "floats count as metres"
         raise DerenderError(what, path, f"{used}; set --depth-scale (1 where a unit is a millimetre)")
-    return depth
+    return np.where(depth <= FARTHEST, depth, np.nan)
 
 
 @dataclass(frozen=True)

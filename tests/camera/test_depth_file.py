@@ -73,6 +73,13 @@ def test_reads_exr_as_renderers_write_it(layout, half, compression, tmp_path):
     assert np.array_equal(read_depth(path).depth, TRUTH.astype(kind).astype(float), equal_nan=True)
 
 
+@pytest.mark.parametrize("far_plane", [1000.5, 5000.0, 65504.0, 1e10])
+def test_a_renderers_far_plane_is_no_return(far_plane, tmp_path):
+    pixels = np.where(np.isnan(TRUTH), far_plane, TRUTH)
+    np.save(tmp_path / "depth.npy", pixels)
+    assert np.array_equal(read_depth(tmp_path / "depth.npy").depth, TRUTH, equal_nan=True)
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_what_is_written_is_read_back(suffix, tmp_path):
     path = tmp_path / f"depth{suffix}"

@@ -372,6 +372,15 @@ def test_what_lies_behind_everything_is_as_far_away_as_it_is_seen(wall, scale):
     assert len(found.objects) == 1 and not any("explained" in each for each in found.doubts)
 
 
+def test_what_nothing_returned_from_but_the_far_plane_is_outside_no_likelihood():
+    """A simulator's far plane of 950 m was "likelihood.far: far is 1045; it lies in [0, 1000]"."""
+    eye = camera(96, 72)
+    clean = model_depth(*make_chart(cube(), floor_pose(0.25), Rules(0.0015)), eye)
+    observed = likelihoods["gaussian"].sample(np.random.default_rng(3), clean, {"sigma": 0.002, "blur": 0.0})
+    observed[:6] = 950.0
+    assert len(derender.infer(DepthImage(observed, eye), quick=True).objects) == 1
+
+
 def test_the_whole_image_s_likelihood_is_read_off_it():
     rng = np.random.default_rng(9)
     eye = camera(160, 120)
