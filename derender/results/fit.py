@@ -272,11 +272,17 @@ def grow(label: np.ndarray, depth: np.ndarray, seen: np.ndarray, free: np.ndarra
         label[own], depth[own] = owner[own], seen[own]
 
 
-@njit(cache=True, nogil=True)
-def smooth_surface(depth, mask):
+def smooth_surface(depth: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return (H, W) the mean over a window of those pixels of the mask that lie on the same surface; 0 outside it."""
+    return means_about(depth, mask, STEP * depth)[0]
+
+
+@njit(cache=True, nogil=True)
+def means_about(depth, mask, step):
+    """Return (H, W) the mean over a window of those pixels of the mask that differ by less than `step` (H, W) metres
+    from the one in its middle, and how many they are; 0 outside the mask."""
     height, width = depth.shape
-    out = np.zeros((height, width))
+    out, many = np.zeros((height, width)), np.zeros((height, width))
     for j in range(height):
         for i in range(width):
             if not mask[j, i]:
@@ -284,8 +290,8 @@ def smooth_surface(depth, mask):
             total, count = 0.0, 0
             for v in range(max(j - WINDOW, 0), min(j + WINDOW + 1, height)):
                 for u in range(max(i - WINDOW, 0), min(i + WINDOW + 1, width)):
-                    if mask[v, u] and abs(depth[v, u] - depth[j, i]) < STEP * depth[j, i]:
+                    if mask[v, u] and abs(depth[v, u] - depth[j, i]) < step[j, i]:
                         total += depth[v, u]
                         count += 1
-            out[j, i] = total / count
-    return out
+            out[j, i], many[j, i] = total / count, count
+    return out, many

@@ -8,6 +8,7 @@ import trimesh
 from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import greatest, least
 from derender.detection import estimate
 from derender.detection.compounds import (
     below_cap,
@@ -41,6 +42,7 @@ from derender.detection.things import (
     made_thing,
     nats_of_joins,
     silhouette,
+    take_things,
     without_background,
 )
 from derender.report.scene_json import scene_json
@@ -312,6 +314,19 @@ def test_a_box_is_likelier_than_a_free_form_and_a_bowl_is_none():
     row = make_row(BOX, place[:3, :3], place[:3] @ [0.0, 0.0, 0.06, 1.0], np.array([0.09, 0.07, 0.12]))
     (swap,) = swaps(rng, seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), Settings())
     assert swap.odds < -20.0
+
+
+def test_what_a_solid_s_edges_mix_makes_no_free_form_of_it():
+    """A right stack in a reduced image was two things, for a free form went through what its edges mix."""
+    size, rng = np.array([0.2, 0.16, 0.2]), np.random.default_rng(1)
+    image = seen_on_the_table([(BOX, 0.0, 0.0, size, None)])
+    near, far, share = least(image, 1), greatest(image, 1), rng.random(image.shape)
+    mixed = (far - near > 0.03) & (rng.random(image.shape) < 0.4)
+    seen = observe(np.where(mixed, near + share * (far - near), image), CAMERA)
+    place = np.linalg.inv(seen.floor.pose) @ TABLE
+    row = make_row(BOX, place[:3, :3], place[:3] @ [0.0, 0.0, 0.1, 1.0], size)
+    kept, masks = take_things(seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), Settings())
+    assert len(kept) == 1 and not masks
 
 
 def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():

@@ -5,7 +5,7 @@ import pytest
 from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
-from derender.results.fit import BACKGROUND, FLOOR, UNEXPLAINED, Explanation, explain, grow, smooth_surface
+from derender.results.fit import BACKGROUND, FLOOR, UNEXPLAINED, Explanation, explain, grow, means_about, smooth_surface
 
 CAMERA = Camera.from_field_of_view(64, 48)
 BOX, WALL, GHOST = (slice(20, 28), slice(28, 36)), (slice(0, 6), slice(0, 64)), (slice(38, 42), slice(5, 9))
@@ -55,6 +55,17 @@ def test_the_background_is_smoothed_but_not_across_its_steps():
     off = smooth - np.where(np.arange(40)[None] < 20, 1.0, 1.5)
     assert 0.0002 < off.std() < 0.0009
     assert (smooth_surface(depth, np.zeros(depth.shape, bool)) == 0.0).all()
+
+
+def test_how_many_pixels_a_mean_is_of_tells_what_it_leaves_of_their_noise():
+    rng = np.random.default_rng(0)
+    depth, step = 1.0 + 0.002 * rng.standard_normal((60, 80)), np.full((60, 80), 0.1)
+    depth[30, 40] = 1.5
+    mean, many = means_about(depth, rng.random(depth.shape) < 0.3, step)
+    assert many.max() > 10.0 and many[30, 40] <= 1.0
+    seen = many > 1.0
+    left = (depth - mean)[seen] ** 2 * many[seen] / (many[seen] - 1.0)
+    assert np.sqrt(left.mean()) == pytest.approx(0.002, rel=4.0 / np.sqrt(seen.sum()))
 
 
 def test_a_floor_that_the_sensor_bends_is_explained_as_it_is_seen(graph, seen):
