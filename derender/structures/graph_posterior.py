@@ -24,6 +24,7 @@ from derender.structures.alternatives import (
     climbed_higher,
     combinations,
     from_search,
+    of_likeliest_shapes,
     of_one_solid,
     weighed_whole,
 )
@@ -46,7 +47,7 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.unexplained import additions, hidden_expected, spots_left
 from derender.structures.unions import merges, put_on, recuts
-from derender.structures.weighing import Weighed, made_sure, surest, surest_of_each
+from derender.structures.weighing import NEAR_ERROR, Weighed, made_sure, surest, surest_of_each
 
 ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
 MOST_MERGES, MOST_CUTS = 4, 3
@@ -87,8 +88,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     first : Refined of the search's best state. energy, pool : see `weighed_structures`.
     """
     if only_best:
-        part = structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])
-        return [replace(part, extras={**part.extras, **shown_and_left(first), "weighed": False})]
+        return likeliest_shapes(rng, first, settings)
     made = DrawsOfOne(chains, draws, settings.until)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
@@ -118,6 +118,21 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
             extras = {"hidden_expected": hidden_expected(rng, trial, settings.beliefs), **shown_and_left(trial)}
     parts.sort(key=lambda part: -part.weight)
     return [replace(parts[0], extras={**parts[0].extras, **extras}), *parts[1:]]
+
+
+def likeliest_shapes(rng: np.random.Generator, first: Refined, settings: Settings) -> list[StructurePosterior]:
+    """Return the parts of a quick look: the search's best state with its likeliest shapes, and others of one solid."""
+    found = of_likeliest_shapes(rng, first, settings.rules, settings.shapes)
+    found = sorted((pair for pair in found if pair[1] > -NEGLIGIBLE), key=lambda pair: -pair[1])
+    best, parts = found[0][0], []
+    odds = np.array([each for _, each in found])
+    errors = np.where(np.arange(len(found)) == 0, 0.0, NEAR_ERROR)
+    told = zip(found, *shares(rng, odds, errors), strict=True)
+    for (trial, _), weight, error, (low, high) in told:
+        part = structure_posterior(rng, trial, names_of(best.state), float(weight), [only_draw(trial)])
+        parts.append(replace(part, weight_error=float(error), weight_interval=(float(low), float(high))))
+    extras = {**parts[0].extras, **shown_and_left(best), "weighed": False}
+    return [replace(parts[0], extras=extras), *parts[1:MOST_PARTS]]
 
 
 def shown_and_left(trial: Refined) -> dict[str, list]:

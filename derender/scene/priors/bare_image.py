@@ -74,7 +74,7 @@ class Missed:
 
     settled: float = 0.005
     open: float = 0.05  # where not
-    unweighed: float = 0.12
+    unweighed: float = 0.07
     no_floor: float = 0.5  # where nothing was found to stand on, or a floor that shows little
     sensor: float = 0.1  # of a real sensor's image
     unexplained: float = 0.05  # share of its pixels that solids do not explain at which e times fewer answers are right
