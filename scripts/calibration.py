@@ -4,6 +4,7 @@ with them; inference gets the image and the camera. Prints the table, writes the
     python scripts/calibration.py -n 300 --jobs 2 -o reliability.png
     python scripts/calibration.py -n 60 --keep records.jsonl       goes on where the file ends
     python scripts/calibration.py --pool one.jsonl two.jsonl       the table of what such files hold together
+    python scripts/calibration.py -n 60 --quick            of the best scene alone
     python scripts/calibration.py -n 60 --size 64x48 --sigma 0.006 --twice      smaller images, more noise, two seeds
 
 An object is right where it overlaps a true one (one to one) by an IoU of 0.25, as in `derender eval`'s graphs; an edge
@@ -43,18 +44,20 @@ LEAST = 1e-4  # probability that a truth which no structure found has in the log
 BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0])
 
 
-def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False):
+def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False, quick=False):
     """Return the record of one scene: statements with their truth, intervals with theirs.
 
     twice : infer again with another seed, and say how far the two answers are apart. told : infer under the prior that
-    the scenes come from, not that of bare images.
+    the scenes come from, not that of bare images. quick : look for the best scene alone, which has no intervals.
     """
     from derender.structures.infer import infer_structure
     from derender.structures.options import Options
 
     graph, image, label, camera = drawn_scene(seed, prior, size, sigma)
     start = time.perf_counter()
-    options = Options(prior=read_prior_document(prior).prior) if told else None
+    options = Options(
+        prior=read_prior_document(prior).prior if told else None, method="map" if quick else "auto", quick=quick
+    )
     posterior = infer_structure(image, camera, options, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     truth = scene_json(graph)
@@ -88,7 +91,7 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False):
     scenes = posterior.graphs(np.random.default_rng([seed, 1]), DRAWS)
     for name, true in matches[posterior.parts.index(posterior.best_part)].items():
         drawn = [pose_and_size(s, name) for s in scenes if name in s.names]
-        if len(drawn) > DRAWS // 2:
+        if len(drawn) > DRAWS // 2 and not quick:
             record["intervals"] += intervals(drawn, graph, true, visible_share(graph, true, image, label, camera))
     return record
 
@@ -317,6 +320,7 @@ def main():
     parser.add_argument("--sigma", type=float, help="metres of noise, where it is not the prior's")
     parser.add_argument("--twice", action="store_true", help="infer with a second seed too")
     parser.add_argument("--told", action="store_true", help="infer under the prior that scenes are drawn from")
+    parser.add_argument("--quick", action="store_true", help="look for the best scene alone, as infer --quick")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--keep", type=Path, help="file of records, one line of JSON for each scene")
     parser.add_argument("--pool", type=Path, nargs="+", help="infer nothing: the table of these files of records")
@@ -340,7 +344,7 @@ def inferred(arguments):
     if arguments.keep and arguments.keep.exists():
         records = [r for r in pooled([arguments.keep]) if r["seed"] in wanted]
     todo = [seed for seed in wanted if seed not in {r["seed"] for r in records}]
-    chosen = arguments.prior, arguments.size, arguments.sigma, arguments.twice, arguments.told
+    chosen = arguments.prior, arguments.size, arguments.sigma, arguments.twice, arguments.told, arguments.quick
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
         for record in pool.map(one_scene, todo, *map(repeat, chosen)):
             records.append(record)
