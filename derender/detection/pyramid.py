@@ -44,7 +44,7 @@ def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
     spreads = np.array([max(spread_of(part), LEAST_SIGMA) for part in parts])
     sigma, growth = noise_through(spreads, squares[told]) if told.sum() > 1 else (spreads[0], 0.0)
     if sigma + growth * squares[told].max() < GROWING * (sigma + growth * squares[told].min()):
-        sigma, growth = spread_of(r), 0.0
+        sigma, growth = max(spread_of(r), LEAST_SIGMA), 0.0
     return float(np.clip(sigma, LEAST_PART, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
 
 
