@@ -26,7 +26,6 @@ from derender.posterior.compiled.model import NotCompiled, chain_of, model_of
 from derender.posterior.kernels.base import first_tuning, mixture
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import MOTION, cost, new_misfit, normal_equations
-from derender.render.raycast.state import SIGMA
 from derender.sampling.descent import NO_LIMITS, damped_step
 from derender.scene.solids import MESH
 
@@ -56,17 +55,16 @@ SMALLEST = 1e-3  # metres: no extent is moved below this
 @njit(cache=True, nogil=True)
 def find_motions(model, chain, values, chosen, motions):
     """Write the motion (n, S, MOTION) of every solid per unit of each of the values (P,) that are chosen (n,)."""
-    solids, parameters = motions.shape[1], np.empty(SIGMA + 1)
-    trial = values.copy()
-    put_all(model, chain, parameters, values)
+    solids, trial = motions.shape[1], values.copy()
+    put_all(model, chain, values)
     poses = chain.moved_pose.copy()
     scale = 0.5 / STEP
     for p in range(len(chosen)):
         trial[chosen[p]] = values[chosen[p]] + STEP
-        put_all(model, chain, parameters, trial)
+        put_all(model, chain, trial)
         after, larger = chain.moved_pose.copy(), chain.moved_size.copy()
         trial[chosen[p]] = values[chosen[p]] - STEP
-        put_all(model, chain, parameters, trial)
+        put_all(model, chain, trial)
         before, smaller = chain.moved_pose, chain.moved_size
         trial[chosen[p]] = values[chosen[p]]
         for k in range(solids):
@@ -105,14 +103,14 @@ AFTER_FAILURE = 1e-2  # least damping after a step that did not lower the cost: 
 def _cost_at(misfit, model, chain, values, chosen, place):
     for p in range(len(chosen)):
         values[chosen[p]] = place[p]
-    put_all(model, chain, np.empty(SIGMA + 1), values)
+    put_all(model, chain, values)
     return cost(misfit, chain.moved_pose, chain.moved_size)
 
 
 @njit(cache=True, nogil=True)
 def _equations_at(misfit, model, chain, values, chosen, edges, motions, gradient, hessian):
     find_motions(model, chain, values, chosen, motions)
-    put_all(model, chain, np.empty(SIGMA + 1), values)
+    put_all(model, chain, values)
     normal_equations(misfit, chain.moved_pose, chain.moved_size, motions, edges, gradient, hessian)
 
 

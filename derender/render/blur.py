@@ -5,12 +5,28 @@ from functools import lru_cache
 
 import numpy as np
 
-from derender.compilation.cache import njit
+from derender.compilation.cache import interpreted, njit
 
 
-def blur_radius(sigma: float) -> int:
+@njit(cache=True, nogil=True, borrows=True)
+def reach(sigma):
     """Return how many pixels the blur reaches: three standard deviations, rounded up."""
     return int(math.ceil(3.0 * sigma))
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def write_taps(sigma, taps):
+    """Write the weights from the centre outwards into taps (> radius,), over both sides 1 in all; return the radius."""
+    radius, total = reach(sigma), 0.0
+    for k in range(radius + 1):
+        total += math.exp(-0.5 * (k / sigma) ** 2) if k else 1.0
+    total = 2.0 * total - 1.0
+    for k in range(radius + 1):
+        taps[k] = (math.exp(-0.5 * (k / sigma) ** 2) if k else 1.0) / total
+    return radius
+
+
+blur_radius, _write_taps = interpreted(reach), interpreted(write_taps)
 
 
 def blur_taps(sigma: float) -> np.ndarray:
@@ -23,9 +39,9 @@ def blur_taps(sigma: float) -> np.ndarray:
 
 @lru_cache(maxsize=64)  # chains whose blur is open draw it from the same few again and again
 def _taps(sigma: float) -> np.ndarray:
-    taps = [math.exp(-0.5 * (k / sigma) ** 2) if k else 1.0 for k in range(blur_radius(sigma) + 1)]
-    total = 2.0 * sum(taps) - 1.0
-    return np.array([tap / total for tap in taps])
+    taps = np.empty(blur_radius(sigma) + 1)
+    _write_taps(sigma, taps)
+    return taps
 
 
 def blur(image: np.ndarray, sigma: float) -> np.ndarray:

@@ -114,11 +114,32 @@ ROBUST = TOWER.replace(
     "type: gaussian, sigma: 0.05",
     "type: robust, sigma: {log-uniform: [0.02, 0.2]}, outlier: {beta: [2, 8]}, missing: {uniform: [0.001, 0.2]}",
 )
+WALLED = ROBUST.replace("blur: 0.7, background: 1.5", "blur: {uniform: [0, 1]}, background: {uniform: [0.5, 1.5]}")
+SHARING = TOWER.replace(
+    "type: gaussian,", "type: correlated, shared: {uniform: [0.2, 0.9]}, clump: {uniform: [0.01, 0.5]},"
+)
+KRIGED = SHARING.replace("clump:", "step: {uniform: [0.001, 0.01]}, clump:")  # takes more than scoring the image
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("text", [BLURRED, ROBUST], ids=["blurred", "robust"])
-def test_likelihood_numbers_change_in_between(text):
+@pytest.mark.parametrize("text", [BLURRED, ROBUST, WALLED, SHARING, KRIGED],
+                         ids=["blurred", "robust", "walled", "sharing", "kriged"])  # fmt: skip
+def test_long_sweeps_of_a_likelihoods_numbers_equal_fresh_evaluations(text):
+    """Numbers that take scoring or drawing all of the image are compiled steps, but for what only Python makes."""
+    target, parts, compiled, plain = both(SceneWorld(text), EVERY)
+    assert bool(compiled._elsewhere) == (text is KRIGED)
+    values = target.space.sample(np.random.default_rng(1))
+    tuning = first_tuning(target.space, values)._replace(temperature=0.05)
+    stretch = compiled.sweep(np.random.default_rng(3), values, tuning, 50, 20)
+    open_ones = [place for place, name in enumerate(target.space.addresses) if name.startswith("likelihood.")]
+    assert np.all(np.ptp(stretch.values[:, open_ones], axis=0) > 0.0), "or it tests nothing"
+    for place in (0, 10, 25, 49):
+        np.testing.assert_allclose(
+            stretch.densities[place], plain.evaluate(stretch.values[place]), rtol=1e-9, atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("text", [BLURRED, WALLED, KRIGED], ids=["blurred", "walled", "kriged"])
+def test_likelihood_numbers_change_as_interpreted(text):
     """Numbers that mean to draw or score the image anew, and rows of steps: those of the interpreted mixture."""
     world = SceneWorld(text)
     target, parts, compiled, plain = both(world, ALIKE)

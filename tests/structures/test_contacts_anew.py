@@ -54,9 +54,9 @@ class Silent:
 
 
 @njit(nogil=True)
-def without_area(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n, put, there):
+def without_area(vertices, extents, places, laws, values, numbers, pose, marks, scratch, n, put, there):
     """Takes (u, v) for metres."""
-    found = reattach(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n, put, there)
+    found = reattach(vertices, extents, places, laws, values, numbers, pose, marks, scratch, n, put, there)
     return found if math.isnan(found) else 0.0
 
 

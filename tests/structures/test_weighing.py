@@ -12,7 +12,7 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.render.raycast.state import BLUR, RADIUS, taps_of
+from derender.render.raycast.state import BLUR, RADIUS
 from derender.sampling.evidence import draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures import weighing
@@ -425,7 +425,7 @@ def test_views_hold_their_own_blur_whatever_is_drawn_from_them():
     before = tuple(walker.densities)
     kept = views.engines.settings.copy()
     other = with_blurs_drawn(rng, walker, blurrings(views, best.sensor, [np.array([1.5])]))
-    assert other.engine.engines.taps.shape != views.engines.taps.shape
+    assert other.engine.engines.settings[0, RADIUS] != views.engines.settings[0, RADIUS]
     assert tuple(other.densities) == load(other.engine, best.chart, best.values) != before
     assert np.array_equal(views.engines.settings[:, [RADIUS, BLUR]], kept[:, [RADIUS, BLUR]])
     assert load(views, best.chart, best.values) == before
@@ -442,7 +442,7 @@ def test_a_blur_is_drawn_as_the_image_and_the_prior_have_it():
             for blurred in some]  # fmt: skip
     walker = walker_at(engine_of(best.chart, best.sensor), best.chart, best.values)
     ways = blurrings(walker.engine, best.sensor, [some])
-    taps = {taps_of(blurred).tobytes(): k for k, blurred in enumerate(some)}
+    taps = {way.taps.tobytes(): k for k, way in enumerate(ways[0])}
     met = np.zeros(len(some))
     for _ in range(2000):
         walker = with_blurs_drawn(rng, walker, ways)

@@ -28,6 +28,8 @@ from derender.posterior.compiled.model import (
 from derender.posterior.compiled.prior import NEXT, NOW, Chain, Kernels, Model, Target, log_prior
 from derender.posterior.kernels.base import PLACING, Part, Tuning, kernels, steps_of
 from derender.posterior.target import SceneTarget
+from derender.render.blur import blur_radius
+from derender.render.raycast.engine import allow_blur
 from derender.sampling.metropolis import DENSITY, PRIOR, Steps, Stretch, walk
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
@@ -166,7 +168,7 @@ def _settle(target: Target, accepted: bool) -> None:
 class CompiledBackend(_Programmed):
     """Runs a mixture on a SceneTarget compiled; one object per thread, the others of which are its twins.
 
-    Kernels that move likelihood numbers whose change means to draw or score the whole image anew are interpreted, in
+    Kernels that move numbers of a likelihood which take more than to score the whole image anew are interpreted, in
     between.
 
     Raises NotCompiled : something of the model has no compiled form.
@@ -178,6 +180,10 @@ class CompiledBackend(_Programmed):
         self._first = target.graph(somewhere).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
+        if blur := target.likelihood.get("blur"):
+            most = min(blur.support[1], evaluator.likelihood.known["blur"].upper)
+            for radius in range(blur_radius(most) + 1):
+                allow_blur(evaluator.for_steps(), radius)
         chain = chain_of(target)
         self._blank = chain, evaluator
         somewhere = np.ascontiguousarray(somewhere, np.float64)

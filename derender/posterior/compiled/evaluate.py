@@ -22,7 +22,6 @@ from derender.posterior.compiled.prior import (
     FOLD_CENTRE,
     FOLD_PERIOD,
     FORM,
-    HELD,
     INVERSE_AT,
     KEEP,
     KEEP_AT,
@@ -40,6 +39,7 @@ from derender.posterior.compiled.prior import (
     POSE_AT,
     PROPOSE_AT,
     ROOT,
+    SHAPE,
     SHAPES,
     SIZES,
     SLOT,
@@ -54,7 +54,8 @@ from derender.posterior.compiled.prior import (
 )
 from derender.posterior.kernels.base import PLACING
 from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
-from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA, EngineState
+from derender.render.raycast.state import CANDIDATE, CURRENT, GAUSSIAN, SIGMA, WHOLE, EngineState, take_blur
+from derender.render.raycast.state import LIKELIHOOD as TYPE
 from derender.sampling.metropolis import DENSITY, PRIOR
 from derender.scene.contacts.compiled import SIX_DOF, outline
 from derender.scene.polygon import area_element
@@ -62,6 +63,7 @@ from derender.scene.pose import compose, copy_placed
 from derender.scene.solids import PLANE
 
 FREE_ROOT, FIXED_ROOT, LOOKED_AT = SIX_DOF, 100, 101  # codes of the root
+BLURRING = -1  # slot of a likelihood's blur, which is none of the engine's parameters
 
 
 @njit(cache=True, nogil=True)
@@ -111,22 +113,36 @@ def place(vertices, extents, numbers, pose, relative, n):
 
 
 @njit(cache=True, nogil=True)
-def fill(places, values, numbers, marks, parameters, everything):
+def fill(places, values, numbers, marks, everything):
     """Put the proposed values that differ from the current ones (or all) where they belong; mark what they move."""
     root = marks.shape[1] - 1
     for p in range(places.shape[1]):
         value = values[NEXT, p]
         if everything or value != values[NOW, p]:
             table, vertex, slot = places[TABLE, p], places[VERTEX, p], places[SLOT, p]
-            if table == LIKELIHOOD:
-                parameters[SIGMA] = value
-            elif table == ROOT:
+            if table == ROOT:
                 numbers[NEXT, root, slot] = value
                 marks[DIRTY, root] = 1
-            elif table != HELD:
+            elif table == CONTACT or table == SHAPE:
                 numbers[NEXT, vertex, slot if table == CONTACT else SHAPES + slot] = value
                 if not marks[KEPT, vertex]:
                     marks[DIRTY, vertex] = 1
+
+
+@njit(cache=True, nogil=True)
+def tell_likelihood(places, values, half, engine, everything):
+    """Give the engine the likelihood's numbers of one half where they differ from the other's (or all); return whether
+    every pixel has to be scored anew."""
+    whole = False
+    for p in range(places.shape[1]):
+        if places[TABLE, p] == LIKELIHOOD and (everything or values[NEXT, p] != values[NOW, p]):
+            slot = places[SLOT, p]
+            if slot == BLURRING:
+                take_blur(engine.settings, engine.taps, values[half, p])
+            else:
+                engine.parameters[slot] = values[half, p]
+            whole |= slot != SIGMA or engine.settings[TYPE] != GAUSSIAN
+    return whole
 
 
 @njit(cache=True, nogil=True)
@@ -158,13 +174,15 @@ def evaluate(model, chain, engine):
     values[NEXT, DENSITY] = -math.inf
     if values[NEXT, PRIOR] == -math.inf:
         return
-    fill(model.places, values, chain.numbers, chain.marks, engine.parameters, False)
+    fill(model.places, values, chain.numbers, chain.marks, False)
     moved = arrange(model.vertices, model.extents, chain.numbers, chain.pose, chain.marks, chain.relative,
                     chain.moved_pose, chain.moved_size)  # fmt: skip
     values[NEXT, PRIOR] += log_terms(model, chain)
     if values[NEXT, PRIOR] == -math.inf:
         return
-    if moved:
+    whole = tell_likelihood(model.places, values, NEXT, engine, False)
+    if moved or whole:
+        engine.settings[WHOLE] = whole
         values[NEXT, DENSITY] = propose_in(engine, moved, chain.marks[MOVED], chain.moved_pose, chain.moved_size)
         chain.flags[PENDING] = 1
     else:
@@ -195,22 +213,20 @@ def settle(target, accepted):
         chain.flags[PENDING] = 0
     source = NEXT if accepted else NOW
     if not accepted:
-        for p in range(model.places.shape[1]):
-            if model.places[TABLE, p] == LIKELIHOOD:
-                engine.parameters[SIGMA] = values[NOW, p]
+        tell_likelihood(model.places, values, NOW, engine, False)
     copy_marked(chain.numbers, chain.pose, chain.marks, source)
     for p in range(values.shape[1]):
         values[1 - source, p] = values[source, p]
 
 
 @njit(cache=True, nogil=True)
-def put_all(model, chain, parameters, start):
+def put_all(model, chain, start):
     """Make `start` (P,) the current values without their densities: every vertex is placed."""
     values, marks = chain.values, chain.marks
     for p in range(len(start)):
         values[NEXT, p] = start[p]
     chain.flags[PENDING] = 0
-    fill(model.places, values, chain.numbers, marks, parameters, True)
+    fill(model.places, values, chain.numbers, marks, True)
     marks[DIRTY, :] = 1
     arrange(model.vertices, model.extents, chain.numbers, chain.pose, marks, chain.relative, chain.moved_pose,
             chain.moved_size)  # fmt: skip
@@ -228,13 +244,15 @@ def loader(model: Model, chain: Chain, engine: EngineState, start: np.ndarray) -
 
     Not compiled itself: that would compile the engine's full evaluation a second time, for eight seconds.
     """
-    put = put_all.bound(model, chain, engine.parameters, start)
+    put = put_all.bound(model, chain, start)
+    tell = tell_likelihood.bound(model.places, chain.values, NEXT, engine, True)
     log_prior_of = _log_prior_of_all.bound(model, chain)
     draw = load_state.bound(engine, chain.moved_pose, chain.moved_size)
 
     def load(model: Model, chain: Chain, engine: EngineState, start: np.ndarray) -> None:
-        put(model, chain, engine.parameters, start)
+        put(model, chain, start)
         values = chain.values
+        tell(model.places, values, NEXT, engine, True)
         values[NEXT, PRIOR] = log_prior_of(model, chain)
         values[NEXT, DENSITY] = draw(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
         values[NOW] = values[NEXT]
@@ -268,7 +286,7 @@ def attempt(rng, target, k, scale, temperature):
     if keep >= 0 and not math.isnan(correction):
         correction += call_for_number(
             kernels.table[KEEP_AT, k], model.vertices, model.extents, model.places, laws, values, chain.numbers,
-            chain.pose, chain.marks, engine.parameters, chain.relative, keep, form == PLACING, chain.moved_pose[0]
+            chain.pose, chain.marks, chain.relative, keep, form == PLACING, chain.moved_pose[0]
         )  # fmt: skip
     if math.isnan(correction):
         return -math.inf
@@ -289,7 +307,7 @@ def fold(angle, centre, period):
 
 
 @njit(cache=True, nogil=True)
-def reattach(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n, put, there):
+def reattach(vertices, extents, places, laws, values, numbers, pose, marks, scratch, n, put, there):
     """Write the proposed values of vertices from n on such that all after n stand as they do now.
 
     put : whether n shall stand `there`, (4, 4); else its proposed values say where it stands.
@@ -298,7 +316,7 @@ def reattach(vertices, extents, places, laws, values, numbers, pose, marks, para
     would leave its contact.
     """
     if not put:
-        fill(places, values, numbers, marks, parameters, False)
+        fill(places, values, numbers, marks, False)
         place(vertices, extents, numbers, pose, scratch, n)
     log_jacobian = 0.0
     for c in range(n + (not put), vertices.shape[1] - 1):
@@ -355,9 +373,9 @@ def stand_all(model, chain, archive, objects, places):
 
     objects : (4, B) int64: the vertex, the vertex and the face below, and the unknown that is its theta.
     """
-    phi, parameters = np.empty(7), np.empty(SIGMA + 1)
+    phi = np.empty(7)
     for k in range(len(archive)):
-        put_all(model, chain, parameters, archive[k])
+        put_all(model, chain, archive[k])
         for b in range(objects.shape[1]):
             stand(model.vertices, chain.numbers, chain.pose, chain.relative, objects[1, b], objects[2, b],
                   objects[0, b], phi)  # fmt: skip

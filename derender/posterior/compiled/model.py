@@ -7,6 +7,7 @@ import numpy as np
 
 from derender.compilation.cache import address_of
 from derender.posterior.compiled.evaluate import (
+    BLURRING,
     ELSEWHERE,
     FIXED_ROOT,
     FREE_ROOT,
@@ -35,6 +36,8 @@ from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, Part, Tuning
 from derender.posterior.kernels.relocate import fitted
 from derender.posterior.space import Space
+from derender.render.likelihoods import likelihoods
+from derender.render.raycast.state import SIGMA
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.graph import SceneGraph, Vertex
@@ -184,6 +187,7 @@ def root_code(target: "SceneTarget") -> int:
     raise NotCompiled("this kind of root")
 
 
+HELD_NUMBERS = ("near", "far")  # of a likelihood, which have to fit together: `Likelihood.check`
 ROOT_SLOTS = {FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"), LOOKED_AT: LookedAtRoot.KEYS, FIXED_ROOT: ()}
 
 
@@ -191,7 +195,9 @@ def place_of(target: Any, names: dict[str, int], address: str) -> tuple[int, int
     """Return (table, vertex, slot) of a value."""
     name, _, rest = address.partition(".")
     if name == "likelihood":
-        return (LIKELIHOOD if rest == "sigma" and target.images.type == "gaussian" else HELD), 0, 0
+        places = {name: SIGMA + place for name, place in likelihoods[target.images.type].places.items()}
+        slot = {"blur": BLURRING, **places}.get(rest)
+        return (HELD, 0, 0) if slot is None or rest in HELD_NUMBERS else (LIKELIHOOD, 0, slot)
     if name == "root":
         return ROOT, 0, ROOT_SLOTS[root_code(target)].index(rest)
     vertex = target.template.vertex(name)
@@ -294,7 +300,7 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
         if kind.keeps_children:
             vertex = target.template.names.index(part.block.object)
             keep = address_of(reattach, model.vertices, model.extents, model.places, model.laws, chain.values,
-                              chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, True,
+                              chain.numbers, chain.pose, chain.marks, chain.relative, index, True,
                               chain.moved_pose[0])  # fmt: skip
         calls.append(Calls(propose, place, keep, vertex))
     return calls

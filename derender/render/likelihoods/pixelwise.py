@@ -69,9 +69,16 @@ class Likelihood:
         if values.get("near", 0.0) >= values.get("far", math.inf):
             raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
 
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Where the engine's row has its numbers: sigma, background, after a place to fill those of `scored`."""
+        return {"sigma": 0, "background": 1, **{name: place for place, name in enumerate(self.scored, 3)}}
+
     def row(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the engine's numbers: sigma, background, a place to fill, then those of `scored`."""
-        return np.array([values["sigma"], values["background"], 0.0, *(values[name] for name in self.scored)])
+        """Return the engine's numbers, see `places`."""
+        row = np.zeros(3 + len(self.scored))
+        row[list(self.places.values())] = [values[name] for name in self.places]
+        return row
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray | None:
         """Return what of an image (H, W) the engine's score needs that no scene changes; None: nothing."""

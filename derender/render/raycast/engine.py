@@ -38,6 +38,7 @@ from derender.render.raycast.region import (
 from derender.render.raycast.state import (
     ACCEPTED,
     BLUR,
+    BLURS,
     BOUND,
     CANDIDATE,
     CORRELATED,
@@ -62,12 +63,12 @@ from derender.render.raycast.state import (
     SHOWS,
     SIGMA,
     STALE,
+    WHOLE,
     WIDTH,
     EngineState,
     array_by_array,
     new_state,
-    set_reach,
-    taps_of,
+    set_blur,
 )
 from derender.scene.pose import compose, copy_placed
 from derender.scene.solids import MESH
@@ -200,6 +201,8 @@ def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
 def propose_state(state, count, indices, poses, sizes):
     """Return the log likelihood with some solids moved or resized; `settle_state` must follow.
 
+    Where settings[WHOLE] is set, every pixel is drawn and scored, and it is unset.
+
     count : how many. indices : (>= count,) int64, no solid twice. poses : (>= count, 4, 4), sizes : (>= count, 3).
     """
     settings, images, kind, total = state.settings, state.images, state.kind, state.total
@@ -220,15 +223,19 @@ def propose_state(state, count, indices, poses, sizes):
         _prepare(state, CANDIDATE, k)
         add_region(settings, regions, rectangle[CURRENT, k])
         add_region(settings, regions, rectangle[CANDIDATE, k])
-    change = 0.0
+    whole, change = settings[WHOLE] != 0, 0.0
+    if whole:
+        whole_image(settings, regions[DRAWN, 0])
+        whole_image(settings, regions[SCORED, 0])
+        settings[REGIONS], settings[WHOLE] = 1, 0
     for n in range(settings[REGIONS]):
         call_for_nothing(
             settings[DRAW], settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE, regions[DRAWN, n]
         )
     for n in range(settings[REGIONS]):
         new, old = score_region(settings, state.parameters, state.taps, images, CANDIDATE, regions[SCORED, n])
-        change += new - old
-    total[CANDIDATE] = total[CURRENT] + change
+        change += new - (0.0 if whole else old)
+    total[CANDIDATE] = (0.0 if whole else total[CURRENT]) + change
     return _log_likelihood(settings, state.parameters, total[CANDIDATE])
 
 
@@ -283,26 +290,23 @@ def new_engine(*image: Any) -> EngineState:
         index,
         state.regions[0, 0],
     )
-    settings[BLUR] = _blur_address(state)
+    allow_blur(state, int(settings[RADIUS]))
     settings[RATE] = address_of(SCORES[int(settings[LIKELIHOOD])], state.parameters, images, *6 * [index])
     return state
 
 
-def _blur_address(state: EngineState) -> int:
-    kernel, image, index = blur_for(int(state.settings[RADIUS])), state.images[0], CURRENT
-    return address_of(kernel, image, image, state.taps, *5 * [index])
+def allow_blur(state: EngineState, radius: int) -> None:
+    """Let a state take blurs that reach so many pixels, in this process, as its own may."""
+    settings, image = state.settings, state.images[0]
+    if not settings[BLURS + radius]:
+        settings[BLURS + radius] = address_of(blur_for(radius), image, image, state.taps, *5 * [CURRENT])
+    settings[BLUR] = settings[BLURS + settings[RADIUS]]
 
 
-def with_blur(state: EngineState, blur: float) -> EngineState:
-    """Return the state with another blur, which shares all else with it; score or load the scene again after it."""
-    taps = taps_of(blur)
-    if len(taps) == len(state.taps):
-        state.taps[:] = taps
-        return state
-    state = state._replace(taps=taps)
-    set_reach(state.settings, len(taps) - 1)
-    state.settings[BLUR] = _blur_address(state)
-    return state
+def change_blur(state: EngineState, blur: float) -> None:
+    """Give a state another blur; score or load the scene again after it."""
+    set_blur(state.settings, state.taps, blur)
+    allow_blur(state, int(state.settings[RADIUS]))
 
 
 def for_steps(state: EngineState) -> EngineState:

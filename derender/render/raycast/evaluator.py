@@ -8,7 +8,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.likelihoods import Likelihood, likelihoods
-from derender.render.raycast.engine import for_steps, load_state, new_engine, rescore_state, with_blur
+from derender.render.raycast.engine import change_blur, for_steps, load_state, new_engine, rescore_state
 from derender.render.raycast.region import pixel_log_densities
 from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState, array_by_array
 from derender.scene.solids import Solids
@@ -114,7 +114,7 @@ class DepthEvaluator:
         if self.state is None:
             return None
         if self.values["blur"] != former["blur"]:
-            self.state = with_blur(self.state, self.values["blur"])
+            change_blur(self.state, self.values["blur"])
         state, row = self.state, self.likelihood.row(self.values)
         observed = state.parameters[OBSERVED]
         state.parameters[SIGMA : SIGMA + len(row)] = row

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from derender.render.blur import blur_taps
+from derender.compilation.cache import interpreted, njit
+from derender.render.blur import reach, write_taps
 from derender.render.raycast.convex import PREPARED
 from derender.render.raycast.depth import Meshes, camera_array, flat_meshes
 from derender.render.raycast.lane_names import LANES
@@ -24,6 +25,9 @@ CURRENT, CANDIDATE = np.int64(0), np.int64(1)
 WIDTH, HEIGHT, RADIUS, MARGIN, LIKELIHOOD, PENDING, REGIONS, ACCEPTED, STALE = range(9)
 # of `settings`: the addresses of kernels, see engine.py
 PROPOSE, SETTLE, BOUND, DRAW, BLUR, RATE, RASTERISE = range(9, 16)
+# of `settings`: whether the next proposal changes the likelihood's numbers, so that every pixel is scored; and where
+# the addresses of the blurs that may be taken begin, in the order of how far they reach
+WHOLE, BLURS = 16, 17
 GAUSSIAN, ROBUST, CORRELATED = range(3)  # values of settings[LIKELIHOOD]
 # entries of `parameters` (float64): camera, likelihood; those of the others follow, see their scores
 FX, FY, CX, CY, SIGMA, BACKGROUND, OBSERVED = range(7)
@@ -52,10 +56,10 @@ class EngineState(NamedTuple):
     regions : (2, 2 N + 1, 4) int64: the proposal's regions, as drawn, and as scored (with the blur's margin).
     """
 
-    settings: np.ndarray  # (16,) int64, see WIDTH ... RASTERISE.
+    settings: np.ndarray  # (BLURS + PAD,) int64, see WIDTH ... BLURS.
     parameters: np.ndarray
     total: np.ndarray  # (2,) float64, sums of the scores
-    taps: np.ndarray  # (R + 1,) float32, blur weights from the centre outwards
+    taps: np.ndarray  # (PAD,) float32, blur weights from the centre outwards, of which R + 1 count
     images: np.ndarray
     kind: np.ndarray  # (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's
     pose: np.ndarray
@@ -78,21 +82,21 @@ PAD = LANES  # columns of padding before pixel 0: more than any blur radius allo
 MAXIMUM_RADIUS = PAD - 1
 
 
-def taps_of(blur: float) -> np.ndarray:
-    """Return the weights (R + 1,) float32 of a blur of so many pixels."""
-    taps = blur_taps(blur).astype(np.float32)
-    if len(taps) - 1 > MAXIMUM_RADIUS:
-        raise ValueError(f"a blur of {blur} pixels reaches {len(taps) - 1} pixels: at most {MAXIMUM_RADIUS}")
-    return taps
+@njit(cache=True, nogil=True, borrows=True)
+def take_blur(settings, taps, blur):
+    """Write a blur of so many pixels: its weights, how far a pixel is blurred, and how far it tells on scores, a pixel
+    farther where noise is shared.
 
-
-def set_reach(settings: np.ndarray, radius: int) -> None:
-    """Write how far a pixel is blurred, and how far it tells on scores, a pixel farther where noise is shared.
-
-    The robust score looks at its neighbours' clean depths.
+    The robust score looks at its neighbours' clean depths. Raises ValueError : a blur that none of the engine's is for.
     """
-    kind = settings[LIKELIHOOD]
-    settings[RADIUS], settings[MARGIN] = radius, radius + 1 if kind == CORRELATED else max(radius, int(kind == ROBUST))
+    if not 0 <= reach(blur) <= MAXIMUM_RADIUS:
+        raise ValueError("a blur has to reach less far than rows are padded")
+    radius, kind = write_taps(blur, taps), settings[LIKELIHOOD]
+    settings[RADIUS], settings[BLUR] = radius, settings[BLURS + radius]
+    settings[MARGIN] = radius + 1 if kind == CORRELATED else max(radius, int(kind == ROBUST))
+
+
+set_blur = interpreted(take_blur)
 
 
 def new_state(
@@ -112,7 +116,6 @@ def new_state(
     """
     height, width = camera.height, camera.width
     padded = PAD + -(-width // LANES) * LANES + 2 * LANES
-    taps = taps_of(blur)
     count = len(solids.kind)
     missing = np.nan if kind == GAUSSIAN else 0.0
     seen = np.isfinite(observed) & (observed > 0 if kind == GAUSSIAN else observed != 0)
@@ -130,9 +133,9 @@ def new_state(
     numbers[:4] = camera_array(camera)
     numbers[SIGMA : SIGMA + len(parameters)] = parameters
     numbers[OBSERVED] = seen.sum()
-    settings = np.zeros(16, np.int64)
+    settings, taps = np.zeros(BLURS + PAD, np.int64), np.zeros(PAD, np.float32)
     settings[WIDTH], settings[HEIGHT], settings[LIKELIHOOD] = width, height, kind
-    set_reach(settings, len(taps) - 1)
+    set_blur(settings, taps, blur)
     return EngineState(
         settings=settings,
         parameters=numbers,

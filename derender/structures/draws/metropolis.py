@@ -27,12 +27,12 @@ from derender.detection.solids.beliefs import log_prior_of
 from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import (
     Views,
+    change_blur,
     engine_of_view,
     make_views,
     propose_views,
     rescore_state,
     settle_views,
-    with_blur,
 )
 from derender.render.raycast.evaluator import engine_under
 from derender.render.raycast.state import CANDIDATE, CURRENT, EngineState
@@ -415,7 +415,8 @@ def blurrings(views: Views, sensor: Sensor, blurs: Any) -> list[list[Blurring]]:
 
 def _blurred(engine: EngineState, blurred: float) -> tuple[np.ndarray, np.ndarray]:
     """Return settings and taps of an engine with another blur, which it shares with none."""
-    other = with_blur(engine._replace(settings=engine.settings.copy(), taps=engine.taps.copy()), blurred)
+    other = engine._replace(settings=engine.settings.copy(), taps=engine.taps.copy())
+    change_blur(other, blurred)
     return other.settings, other.taps
 
 
