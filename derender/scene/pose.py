@@ -44,7 +44,9 @@ def upright_frame(up: np.ndarray, along: Any = (1.0, 0.0, 0.0), origin: Any = (0
     """Return the (4, 4) pose of a frame whose z is the unit vector `up`, and x as near `along` as that lets it be."""
     x = along - np.dot(along, up) * up
     x /= np.linalg.norm(x)
-    return from_axes((x, np.cross(up, x), up), origin)
+    # up times x: np.cross took twice as long as all the rest
+    y = up[1] * x[2] - up[2] * x[1], up[2] * x[0] - up[0] * x[2], up[0] * x[1] - up[1] * x[0]
+    return from_axes((x, y, up), origin)
 
 
 def inverse(pose: np.ndarray) -> np.ndarray:
