@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from test_simulate import FLOOR, cube, matter
 
-from derender.physics import jitter
-from derender.physics.intervention import intervention
-from derender.physics.jitter import jittered, pairs_entered
+from derender.physics.intervention import intervention, jittered, pairs_entered
 from derender.physics.outcome import simulate_scene
 
 SPREAD = (0.02, np.radians(4.0))
@@ -32,7 +30,7 @@ def test_bodies_drawn_in_turn_are_as_those_drawn_at_once(monkeypatch):
     first = np.array([body.pose[:3, 3] for body in seen.bodies])
 
     def heights(tries, count=250):
-        monkeypatch.setattr(jitter, "TRIES", tries)
+        monkeypatch.setattr("derender.physics.intervention.TRIES", tries)
         rng = np.random.default_rng(2)
         drawn = (jittered(seen, SPREAD, rng) for _ in range(count))
         return np.array([[(b.pose[:3, 3] - a) @ seen.up for b, a in zip(each.bodies, first, strict=True)]
