@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
-from derender.tracking.passes import Pass, Passes
-from derender.tracking.smoothing import Fit, Smoother
+from derender.tracking.passes import Fit, Pass, Passes, Smoother
 from derender.tracking.thing import MOVING, STILL
 from derender.tracking.track import Recorder
 
