@@ -3,10 +3,11 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.detection.floor import rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
@@ -14,9 +15,6 @@ from derender.detection.solids.beliefs import any_sensor, log_prior_of
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
 from derender.render.raycast.evaluator import DepthEvaluator
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
 
 NOISE = Correlated()
 LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
@@ -45,7 +43,7 @@ class Fit(NamedTuple):
     beyond: float
 
 
-def residuals(depth: np.ndarray, camera: "Camera", name: str) -> tuple[np.ndarray, np.ndarray]:
+def residuals(depth: np.ndarray, camera: Camera, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return (residual (H, W) metres, NaN off the table; the table's depth (H, W)) of a frame of a bare table.
 
     Depths that were rounded lie anywhere within a step, as probably here as there (dithered: Schuchman, IEEE
@@ -163,7 +161,7 @@ def correlation(images: list[np.ndarray], up: int, left: int) -> float:
     return float(np.corrcoef(here[both], there[both])[0, 1]) if both.sum() > 2 else math.nan
 
 
-def sensor_text(fit: Fit, camera: "Camera", frames: int) -> str:
+def sensor_text(fit: Fit, camera: Camera, frames: int) -> str:
     """Return the YAML of a sensor as a prior over its numbers, about those of the fit, seen on a bare table."""
     believed = {}
     for key, value in fit.values.items():

@@ -8,24 +8,22 @@ prior of its own, log-normal about its median m, and the camera stands between a
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from derender.render.likelihoods import likelihoods
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.distributions import Distribution
+from derender.scene.graph import SceneGraph
+from derender.scene.priors.bare_image import Loose
 from derender.scene.shapes import shapes
-
-if TYPE_CHECKING:
-    from derender.results.posterior import Posterior, StructurePosterior
-    from derender.scene.graph import SceneGraph
-    from derender.scene.priors.bare_image import Loose
 
 SHARE = 0.25  # of the pixels are nearer than what counts: there may be a room behind a table
 SAME = 1e-9
 
 
-def unit_of(depth: np.ndarray, loose: "Loose") -> float:
+def unit_of(depth: np.ndarray, loose: Loose) -> float:
     """Return the unit in metres for a depth image (H, W), NaN = no return. loose : of the prior, see Loose."""
     seen = depth[np.isfinite(depth)]
     middle = loose.unit.quantile(0.5) if isinstance(loose.unit, Distribution) else loose.unit
@@ -36,7 +34,7 @@ def unit_of(depth: np.ndarray, loose: "Loose") -> float:
     return 1.0 if abs(unit - 1.0) < SAME else unit
 
 
-def in_metres(posterior: "Posterior", unit: float) -> "Posterior":
+def in_metres(posterior: Posterior, unit: float) -> Posterior:
     """Return a Posterior whose lengths were counted in units of so many metres with all of them in metres."""
     parts = tuple(part_in_metres(part, unit) for part in posterior.parts)
     meta = dict(posterior.meta)
@@ -51,7 +49,7 @@ def in_metres(posterior: "Posterior", unit: float) -> "Posterior":
     return replace(posterior, parts=parts, meta=meta, explanation=explanation)
 
 
-def part_in_metres(part: "StructurePosterior", unit: float) -> "StructurePosterior":
+def part_in_metres(part: StructurePosterior, unit: float) -> StructurePosterior:
     """Return a StructurePosterior with all lengths in metres; its log densities keep their unit."""
     lengths, numbers = lengths_of(part.graph), part.graph.numbers()
     graph = part.graph.with_numbers({k: v * unit if k in lengths else v for k, v in numbers.items()})
@@ -62,14 +60,14 @@ def part_in_metres(part: "StructurePosterior", unit: float) -> "StructurePosteri
     return replace(part, graph=replace(graph, root_pose=farther(graph.root_pose, unit)), extras=extras)
 
 
-def scale_drawn(rng: np.random.Generator, part: "StructurePosterior", scale: float) -> "StructurePosterior":
+def scale_drawn(rng: np.random.Generator, part: StructurePosterior, scale: float) -> StructurePosterior:
     """Return a StructurePosterior whose draws have the sensor's scale open, all but the best; scale : see Loose."""
     factors = np.exp(scale * rng.standard_normal(part.log_density.shape))
     factors.flat[part.log_density.argmax()] = 1.0
     return stretched(part, factors)
 
 
-def stretched(part: "StructurePosterior", factors: np.ndarray) -> "StructurePosterior":
+def stretched(part: StructurePosterior, factors: np.ndarray) -> StructurePosterior:
     """Return a StructurePosterior whose draws are so many times as large, and as far from the camera, each by a factor
     (chains, draws) of its own."""
     factors, lengths = factors[..., None], lengths_of(part.graph)
@@ -85,7 +83,7 @@ def farther(pose: np.ndarray, factor: float | np.ndarray) -> np.ndarray:
     return pose
 
 
-def lengths_of(graph: "SceneGraph") -> set[str]:
+def lengths_of(graph: SceneGraph) -> set[str]:
     """Return the addresses of a graph's numbers that are lengths."""
     found = {f"{vertex.name}.{parameter.name}" for vertex in graph.vertices
              for parameter in shapes[vertex.shape].parameters if parameter.unit == "m"}  # fmt: skip

@@ -2,17 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.scene import solids as kinds
 from derender.scene.friction import OF_BODIES
-from derender.scene.graph import STANDARD_GRAVITY
+from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
 from derender.scene.separation import separation_of
-
-if TYPE_CHECKING:
-    from derender.scene.graph import SceneGraph
 
 SLAB = 0.02  # metres of the slab that bears for a plane that ends: thicker than what engines let sink in
 KINDS = {"plane": kinds.PLANE, "box": kinds.BOX, "sphere": kinds.SPHERE, "cylinder": kinds.CYLINDER, "mesh": kinds.MESH}
@@ -141,7 +138,7 @@ def leans(matter: Matter) -> bool:
     return False
 
 
-def matter_of_graph(graph: "SceneGraph", rng: np.random.Generator | None = None) -> Matter:
+def matter_of_graph(graph: SceneGraph, rng: np.random.Generator | None = None) -> Matter:
     """Return the bodies of a scene graph, in the camera's frame.
 
     A vertex's options `mass`, `density`, `friction`, `elasticity`, `fixed`, `velocity` and `angular_velocity` (both in

@@ -7,7 +7,7 @@ costs one test of statics for each draw instead of one for each step of a chain.
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +15,9 @@ from derender.errors import DerenderError
 from derender.physics.bodies import matter_of_graph
 from derender.physics.statics import Equilibrium
 from derender.results.posterior import Posterior, StructurePosterior
+from derender.scene.codec.yaml_tree import Node
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import term_types
-
-if TYPE_CHECKING:
-    from derender.scene.codec.yaml_tree import Node
 
 # Chains are kept apart where the poorest keeps at least this share of what the richest does; else they become one.
 ALIKE = 0.5
@@ -35,7 +33,7 @@ class Stands:
         return 0.0 if Equilibrium(matter_of_graph(graph)).stands else -math.inf
 
     @classmethod
-    def read(cls, node: "Node | None", names: tuple[str, ...]) -> "Stands":
+    def read(cls, node: Node | None, names: tuple[str, ...]) -> "Stands":
         if node is not None and not node.boolean():
             raise node.fault("a scene that need not stand needs no constraint", "write stands: true, or leave it out")
         return cls()

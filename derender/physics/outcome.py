@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,10 +21,8 @@ from derender.physics.intervention import Intervention, intervention
 from derender.physics.statics import ContactForce, Equilibrium
 from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory, Verdict, judge
 from derender.registry import suggest
+from derender.scene.graph import SceneGraph
 from derender.scene.pose import upright_frame
-
-if TYPE_CHECKING:
-    from derender.scene.graph import SceneGraph
 
 ENGINES = ("mujoco", "statics", "both")
 LONGEST = 3600.0  # seconds simulated: a trajectory fits into memory
@@ -226,7 +224,7 @@ def _may_yet_rest(trajectory: Trajectory) -> bool:
     return bool(np.all(moved < FAR * np.cbrt(np.prod(trajectory.sizes, axis=1))))
 
 
-def _of_graph(graph: "SceneGraph", rng: np.random.Generator | None) -> tuple[Matter, np.ndarray]:
+def _of_graph(graph: SceneGraph, rng: np.random.Generator | None) -> tuple[Matter, np.ndarray]:
     return matter_of_graph(graph, rng), np.asarray(graph.root_pose, dtype=float)[:3, :3]
 
 

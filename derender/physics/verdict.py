@@ -5,20 +5,17 @@ Also the scene graph of where things came to rest: every body on what bears it n
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.statics import Entered, deep_overlaps, find_contacts, widest_gap
-from derender.scene.graph import ROOT, Contact, Vertex, floating, nearest_contact
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating, nearest_contact
 from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
-
-if TYPE_CHECKING:
-    from derender.scene.graph import SceneGraph
-    from derender.scene.shapes.base import Body
+from derender.scene.shapes.base import Body
 
 # A body has moved when its centre is displaced by more than a tenth of its mean extent (the side of the cube of its
 # volume), or it has turned by more than 10 degrees. Among 200 towers of ten blocks the greatest creep of one that
@@ -237,7 +234,7 @@ LEAST_SLACK = 1e-5
 ROUNDING = 1e-6
 
 
-def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -> "SceneGraph":
+def settled_graph(graph: SceneGraph, trajectory: Trajectory, matter: Matter) -> SceneGraph:
     """Return the graph with the poses at the end of a trajectory, its contacts found anew, lower bodies first.
 
     A body keeps its parent where that still bears it, and otherwise hangs on the highest body that does, or on the
@@ -283,7 +280,7 @@ def _at_rest(vertex: Vertex) -> Vertex:
     return replace(vertex, options=options, contact=replace(vertex.contact, values=values))
 
 
-def _contact(relative: np.ndarray, parent: "Body", child: "Body") -> Contact | None:
+def _contact(relative: np.ndarray, parent: Body, child: Body) -> Contact | None:
     """Return the flattest contact of two bodies that reproduces a relative pose, or None."""
     best: tuple[float, Contact] | None = None
     for kind in TYPES:

@@ -14,7 +14,7 @@ the images and their derivatives; the few steps on the way are not.
 """
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,13 +24,11 @@ from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.evaluate import put_all
 from derender.posterior.compiled.model import NotCompiled, chain_of, model_of
 from derender.posterior.kernels.base import first_tuning, mixture
+from derender.posterior.target import SceneTarget
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import MOTION, cost, new_misfit, normal_equations
 from derender.sampling.descent import NO_LIMITS, damped_step
 from derender.scene.solids import MESH
-
-if TYPE_CHECKING:
-    from derender.posterior.target import SceneTarget
 
 
 class Domain(NamedTuple):
@@ -140,7 +138,7 @@ class MapProblem:
     Raises DerenderError : something of the scene has no compiled form or no exact derivative, or nothing can move.
     """
 
-    def __init__(self, target: "SceneTarget", values: np.ndarray, gradient: str = "exact", edges: bool = True) -> None:
+    def __init__(self, target: SceneTarget, values: np.ndarray, gradient: str = "exact", edges: bool = True) -> None:
         self.target, self.values, space = target, np.array(values, np.float64), target.space
         moving = [(unknown, int(offset)) for unknown, offset in zip(space.unknowns, space.offsets, strict=False)
                   if unknown.distribution.size == 1 and not unknown.distribution.discrete

@@ -4,21 +4,19 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.posterior.space import Block, Space, Unknown
+from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
+from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes.base import SIDES
 from derender.scene.shapes.kinds import FACE_NAMES
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
-    from derender.render.raycast.evaluator import DepthEvaluator
-    from derender.scene.priors.tree import TreePrior
 
 
 def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribution] | None = None) -> Space:
@@ -136,13 +134,13 @@ class ObservedImage:
     """
 
     def __init__(
-        self, camera: "Camera", observed: np.ndarray, type: str = "gaussian", values: Mapping[str, float] | None = None
+        self, camera: Camera, observed: np.ndarray, type: str = "gaussian", values: Mapping[str, float] | None = None
     ) -> None:
         self.camera, self.observed, self.type = camera, np.ascontiguousarray(observed, np.float64), type
         self.values = dict(values or {})
         self._evaluators = threading.local()
 
-    def evaluator(self) -> "DepthEvaluator":
+    def evaluator(self) -> DepthEvaluator:
         """Return a new DepthEvaluator: each chain, which may run in a thread of its own, has one."""
         from derender.render.raycast.evaluator import DepthEvaluator
 
@@ -166,7 +164,7 @@ class SceneTarget:
 
     def __init__(
         self,
-        prior: "TreePrior",
+        prior: TreePrior,
         graph: SceneGraph,
         images: ObservedImage,
         likelihood: dict[str, Distribution] | None = None,

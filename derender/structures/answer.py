@@ -9,8 +9,10 @@ from derender.camera.intrinsics import Camera
 from derender.detection.search.observation import CORRELATED, Observation, of_whole_image
 from derender.detection.solids.beliefs import sensor_beliefs
 from derender.detection.solids.misfit import AS_SEEN
+from derender.posterior.target import ObservedImage
 from derender.results.check import LEAST_FITTING
 from derender.results.fit import Explanation
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Missed
@@ -19,8 +21,6 @@ from derender.structures.options import Frame
 from derender.structures.parts import MOST_STRUCTURES, likeliest
 
 if TYPE_CHECKING:
-    from derender.posterior.target import ObservedImage
-    from derender.results.posterior import Posterior, StructurePosterior
     from derender.structures.together import Look
 
 SURELY = 0.95  # probability from which on what hides a solid says nothing against it
@@ -29,8 +29,8 @@ RATHER = 0.5  # share of what an object shows in that it explains, below which a
 LITTLE_FLOOR = 0.4  # share of what shows no solid: what stands on the rest may be told background
 
 
-def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]", observations: list[Observation],
-             extras: dict[str, Any], interrupted: bool) -> "Posterior":  # fmt: skip
+def answered(case: Case, looks: "list[Look]", parts: list[StructurePosterior], observations: list[Observation],
+             extras: dict[str, Any], interrupted: bool) -> Posterior:  # fmt: skip
     """Return the Posterior of the structures: what explains each pixel, and how probably something was missed."""
     from derender.results.posterior import Posterior
     from derender.structures.free_forms import thing_name
@@ -131,8 +131,8 @@ def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera
 
 
 def with_absences(
-    parts: "list[StructurePosterior]", existence: dict[str, tuple[float, float]], elsewhere: dict[str, float]
-) -> "list[StructurePosterior]":
+    parts: list[StructurePosterior], existence: dict[str, tuple[float, float]], elsewhere: dict[str, float]
+) -> list[StructurePosterior]:
     """Return the structures with all of their objects, and those in which some of the likeliest one's are but clutter.
 
     So that no structure is likelier than each of its objects. What something stands on is an object in all. Of the
@@ -228,7 +228,7 @@ def explanation_of(
 
 
 def likelihood_of(
-    parts: "list[StructurePosterior]", observations: list[Observation], case: Case
+    parts: list[StructurePosterior], observations: list[Observation], case: Case
 ) -> dict[str, float | str]:
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 
@@ -243,7 +243,7 @@ def likelihood_of(
     return {"type": image.type, **image.values}
 
 
-def observed_under(graph: SceneGraph, observations: list[Observation], case: Case) -> "ObservedImage":
+def observed_under(graph: SceneGraph, observations: list[Observation], case: Case) -> ObservedImage:
     """Return the image as it came under the likelihood that it suggests given a scene.
 
     To what it shows of the scene that is fitted, not to what is known to lie behind it, or far away.

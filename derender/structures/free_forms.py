@@ -1,26 +1,23 @@
 """Free-form things in a posterior: each part of it gets them as objects, with what is not known of their extents."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.detection.leftovers import swaps
+from derender.detection.search.greedy import Settings
+from derender.detection.search.observation import Observation
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import THINNEST, Thing
-from derender.results.posterior import NINETY
+from derender.results.posterior import NINETY, StructurePosterior
 from derender.scene.polygon import convex_outline
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.mesh import encode_surface
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
 from derender.structures.weighing import NEAR_ERROR
-
-if TYPE_CHECKING:
-    from derender.detection.search.greedy import Settings
-    from derender.detection.search.observation import Observation
-    from derender.results.posterior import StructurePosterior
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 MEDIAN = 0.6745  # of the absolute value of a standard normal
@@ -33,8 +30,8 @@ def thing_name(number: int) -> str:
 
 
 def with_things(
-    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State, believed: Things
-) -> "list[StructurePosterior]":
+    rng: np.random.Generator, parts: list[StructurePosterior], seen: Observation, state: State, believed: Things
+) -> list[StructurePosterior]:
     """Return StructurePosteriors with free-form things among their objects.
 
     seen : Observation. state : State of the solids that the search found. believed : of their extents.
@@ -47,8 +44,8 @@ def with_things(
 
 
 def with_rivals(
-    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State, settings: "Settings"
-) -> "list[StructurePosterior]":
+    rng: np.random.Generator, parts: list[StructurePosterior], seen: Observation, state: State, settings: Settings
+) -> list[StructurePosterior]:
     """Return StructurePosteriors in which each thing may be a solid, and each solid on which nothing stands a thing.
 
     What takes another's place has its name. The likeliest MOST_PARTS are told, of which the new ones are modes alone.
@@ -82,13 +79,13 @@ def with_rivals(
     return parts
 
 
-def without_object(part: "StructurePosterior", name: str) -> "StructurePosterior":
+def without_object(part: StructurePosterior, name: str) -> StructurePosterior:
     """Return a StructurePosterior without an object on which nothing stands, and its numbers."""
     kept = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] != name]
     return replace(part.only(kept), graph=part.graph.remove(name))
 
 
-def with_solid(part: "StructurePosterior", state: State, names: list[str]) -> "StructurePosterior":
+def with_solid(part: StructurePosterior, state: State, names: list[str]) -> StructurePosterior:
     """Return a StructurePosterior with the last solid of a State, of these names, as it is."""
     own = scene_graph(state, part.graph.root_pose, names).vertex(names[-1])
     if own.parent not in part.graph.names:
@@ -112,7 +109,7 @@ class Made(NamedTuple):
     noise: float  # metres
 
     @classmethod
-    def of(cls, name: str, thing: Thing, seen: "Observation", believed: Things) -> "Made":
+    def of(cls, name: str, thing: Thing, seen: Observation, believed: Things) -> "Made":
         """Return what a Thing of an Observation is made to."""
         guessed = thing.guessed / MEDIAN  # that is the median of all that is behind what is seen
         hidden = np.where(guessed > 0.0, guessed, believed.hidden * thing.row[SIZE:] * np.abs(thing.away))
@@ -122,8 +119,8 @@ class Made(NamedTuple):
 
 
 def _with_all(
-    rng: np.random.Generator, part: "StructurePosterior", names: list[str], made: list[Made], whole: float
-) -> "StructurePosterior":
+    rng: np.random.Generator, part: StructurePosterior, names: list[str], made: list[Made], whole: float
+) -> StructurePosterior:
     """Return a StructurePosterior with things. whole : probability that nothing of an extent is hidden."""
     graph, addresses, values = part.graph, list(part.addresses), [part.values]
     chains, draws, _ = part.values.shape

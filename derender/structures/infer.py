@@ -13,12 +13,12 @@ from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Observation, Support, of_whole_image, whole_image
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.structures.answer import answered, observed_under
 from derender.structures.case import Case, case_of, unit_of_lengths
 from derender.structures.options import Options
 
 if TYPE_CHECKING:
-    from derender.results.posterior import Posterior, StructurePosterior
     from derender.structures.grids import Image
     from derender.structures.together import Look
 
@@ -31,7 +31,7 @@ def infer_structure(
     options: Options | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
-) -> "Posterior":
+) -> Posterior:
     """Infer which solids are there and what rests on what.
 
     image : (H, W) float metres, NaN or 0 = no return.
@@ -92,7 +92,7 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
     state, seen = looks[0].state, looks[0].seen
     settings = settings_for(case.settings, seen)
 
-    def parts(only_best: bool) -> "list[StructurePosterior]":
+    def parts(only_best: bool) -> list[StructurePosterior]:
         if case.library:
             from derender.structures.known.posterior import known_posterior
 
@@ -114,7 +114,7 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
 
 
 def completed(
-    rng: np.random.Generator, case: Case, looks: "list[Look]", parts: "list[StructurePosterior]", interrupted: bool
+    rng: np.random.Generator, case: Case, looks: "list[Look]", parts: list[StructurePosterior], interrupted: bool
 ) -> "tuple[list[StructurePosterior], list[Observation], dict[str, Any]]":
     """Return the structures with free-form things, bridges and grids, and what stands on other planes.
 
@@ -150,8 +150,8 @@ def completed(
     return parts, observations, extras
 
 
-def finished(rng: np.random.Generator, case: Case, parts: "list[StructurePosterior]", state: State, seen: Observation,
-             settings: Settings) -> "list[StructurePosterior]":  # fmt: skip
+def finished(rng: np.random.Generator, case: Case, parts: list[StructurePosterior], state: State, seen: Observation,
+             settings: Settings) -> list[StructurePosterior]:  # fmt: skip
     """Return the structures over one plane with the free-form things, bridges and grids that the search leaves out."""
     from derender.structures.bridges import with_bridges
     from derender.structures.free_forms import with_rivals, with_things

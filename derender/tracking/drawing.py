@@ -1,18 +1,14 @@
 """What is drawn of the things that are followed, how it compares with the present frame, and fits of one of them."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.render.blur import blur_taps
 from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
-    from derender.tracking.thing import Start
+from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
 LIMIT = 8.0  # nats: a pixel off by more than four standard deviations tells no more
@@ -39,7 +35,7 @@ class Drawing:
     rounds : sets of normal equations so far.
     """
 
-    def __init__(self, camera: "Camera", start: "Start", depth: np.ndarray, moving_camera: bool) -> None:
+    def __init__(self, camera: Camera, start: Start, depth: np.ndarray, moving_camera: bool) -> None:
         self.camera, self.start, self.moving_camera = camera, start, moving_camera
         self.things, self.floor, self.view = list(start.things), start.floor, np.eye(4)
         self.backdrop: np.ndarray | None = None

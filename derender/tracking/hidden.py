@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.posterior.sampler import next_temperature
 from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.pose import moved, rotation_vector
 
 if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
     from derender.tracking.tracker import Tracker
 
 HANDS, FILMS = 2, 14  # motions of a hand, and of the engine
@@ -160,7 +160,7 @@ def blobs_of(tracker: "Tracker") -> list[Blob]:
     return found
 
 
-def centre_of(mask: np.ndarray, depth: np.ndarray, camera: "Camera") -> np.ndarray:
+def centre_of(mask: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the middle (3,) of the points that some pixels show, robustly, camera axes."""
     points = camera.points(depth)[mask]
     return points[np.abs(points[:, 2] - np.median(points[:, 2])) < 0.15].mean(axis=0)

@@ -2,17 +2,15 @@
 there in the first frame, from the posterior of that image."""
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.results.posterior import Posterior
+from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.tracking.hidden import Hidden
-
-if TYPE_CHECKING:
-    from derender.results.posterior import Posterior
-    from derender.scene.graph import SceneGraph
 
 STILL, MOVING, HIDDEN, LOST, GONE = "still", "moving", "hidden", "lost", "gone"
 TIES = {
@@ -107,7 +105,7 @@ class Start(NamedTuple):
         return self._replace(things=[thing.copy() for thing in self.things])
 
 
-def start_from(posterior: "Posterior", rng: np.random.Generator) -> Start:
+def start_from(posterior: Posterior, rng: np.random.Generator) -> Start:
     """Return what a posterior of the first frame says is there."""
     graph = posterior.best_graph()
     poses = graph.poses()
@@ -127,7 +125,7 @@ def start_from(posterior: "Posterior", rng: np.random.Generator) -> Start:
     )
 
 
-def thing_of(graph: "SceneGraph", draws: Any, name: str) -> Thing:
+def thing_of(graph: SceneGraph, draws: Any, name: str) -> Thing:
     """Return one solid of a scene as a thing, its spread that of the draws of the scene."""
     vertex = graph.vertex(name)
     pose, size, ties = graph.poses()[name], np.array(graph.body(name).size(), float), TIES[vertex.shape]

@@ -1,18 +1,16 @@
 """A film followed from its first frame to its last: the answer of tracking, and how it comes about."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.detection.floor import frame_of
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
 from derender.tracking.thing import MOVING, STILL, Seen, Start, thing_of
 from derender.tracking.tracker import Tracker
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
 
 CUT = 0.5  # share of the pixels that fit nothing from which on a frame is of another scene
 NEW_PIXELS = 60  # of a blob that may be a new thing
@@ -79,7 +77,7 @@ class Recorder:
     def __init__(
         self,
         depth: np.ndarray,
-        camera: "Camera",
+        camera: Camera,
         start: Start,
         gravity: Any,
         step: float,

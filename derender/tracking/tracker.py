@@ -7,10 +7,11 @@ explains the image best; where its pixels are not explained from there, others a
 something that nothing explains.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import from_rotation_vector, inverse, moved, rotation_vector
 from derender.scene.solids import BOX
@@ -18,9 +19,6 @@ from derender.tracking import fit as fitting
 from derender.tracking.drawing import EXCESS, FEW, OFF, ROUNDS, TOLERANCE, USUAL_OFF, Drawing
 from derender.tracking.hidden import Blob, blobs_of, last_seen, one_frame_later, shifts_to
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
 
 WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
 WOKEN = (0.0010, 0.012)  # metres and radians from where it rested from which on it moves
@@ -72,7 +70,7 @@ class Tracker(Drawing):
 
     def __init__(
         self,
-        camera: "Camera",
+        camera: Camera,
         start: Start,
         depth: np.ndarray,
         gravity: np.ndarray,

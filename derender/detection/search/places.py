@@ -5,23 +5,19 @@ strip of its side and a bit of its end show, which no least-squares circle fits;
 any extent into what is hidden, one is near enough to be polished. A guess costs the pixels of its rectangle.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.bodies import find_bodies
+from derender.detection.search.greedy import Settings
 from derender.detection.search.proposals import THINNEST, Hypothesis
 from derender.detection.solids.image import ROW, Image
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, TYPICAL_SIZE, UPRIGHT
-from derender.detection.solids.state import held_out
+from derender.detection.solids.state import State, held_out
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-
-if TYPE_CHECKING:
-    from derender.detection.search.greedy import Settings
-    from derender.detection.solids.state import State
-
 
 NEAR = 2  # pixels from a bad one to the solids that share it
 
@@ -40,7 +36,7 @@ class Places(NamedTuple):
     shown: np.ndarray  # (H, W) int32, the solid that each pixel shows; negative: none
     seen: np.ndarray  # (H, W, 3) float64, all points
 
-    def none_left(self, settings: "Settings") -> bool:
+    def none_left(self, settings: Settings) -> bool:
         """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""
         return self.blame.sum() < settings.clean
 
@@ -48,7 +44,7 @@ class Places(NamedTuple):
 MISFIT = 4.5  # nats of a pixel, as of three standard deviations: more is badly explained
 
 
-def find_places(image: Image, state: "State") -> Places:
+def find_places(image: Image, state: State) -> Places:
     """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
     depth, label, misfit, _ = held_out(image, state, -1)
     bad = misfit > MISFIT

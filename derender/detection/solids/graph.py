@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,11 @@ from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import LEAST_GAP, touches
 from derender.errors import DerenderError
+from derender.results.posterior import StructurePosterior
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating
 from derender.scene.pose import from_axes
 from derender.scene.solids import BOX, SPHERE
-
-if TYPE_CHECKING:
-    from derender.results.posterior import StructurePosterior
 
 FLOOR_NAME = "floor"
 ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
@@ -171,7 +169,7 @@ def turns_freely(vertex: Vertex) -> bool:
     return face is not None and math.isinf(vertex.body.shape.face_order(face))
 
 
-def without_floor(part: "StructurePosterior") -> "StructurePosterior":
+def without_floor(part: StructurePosterior) -> StructurePosterior:
     """Return a StructurePosterior without the floor that never was: what is left floats under the root."""
     if FLOOR_NAME not in part.graph.names or part.graph.children(FLOOR_NAME):
         return part

@@ -1,7 +1,7 @@
 """To the flat arrays of `prior.py`: from a scene's target Model and Chain, from a mixture of kernels its Kernels."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, Part, Tuning
 from derender.posterior.kernels.relocate import fitted
 from derender.posterior.space import Space
+from derender.posterior.target import SceneTarget
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.state import SIGMA
 from derender.scene.contacts import contacts
@@ -46,9 +47,6 @@ from derender.scene.priors.tree import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
 from derender.scene.shapes.base import box_feature
 from derender.scene.solids import MESH
-
-if TYPE_CHECKING:
-    from derender.posterior.target import SceneTarget
 
 MOST_NUMBERS = 3  # of a shape that may be unknown: there is room for so many
 PROBE = np.array([0.31, 0.57, 0.83])  # numbers at which a shape's extents are checked to be affine
@@ -61,7 +59,7 @@ class NotCompiled(Exception):
 Address = Callable[..., int]  # from a kernel and arguments of the types that it will get to the number that calls it
 
 
-def model_of(target: "SceneTarget") -> Model:
+def model_of(target: SceneTarget) -> Model:
     """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form."""
     graph, space = target.template, target.space
     try:
@@ -176,7 +174,7 @@ def check_faces(graph: SceneGraph, vertex: Vertex) -> None:
             raise NotCompiled(f"the face {name} of a {body.shape.name}, which is not that of its box")
 
 
-def root_code(target: "SceneTarget") -> int:
+def root_code(target: SceneTarget) -> int:
     """Return how the root's numbers give its pose."""
     if not any(unknown.address.startswith("root.") for unknown in target.space.unknowns):
         return FIXED_ROOT
@@ -211,7 +209,7 @@ def place_of(target: Any, names: dict[str, int], address: str) -> tuple[int, int
     return SHAPE, names[name], slot
 
 
-def held(target: "SceneTarget") -> dict[str, int]:
+def held(target: SceneTarget) -> dict[str, int]:
     """Return which likelihood numbers compiled steps cannot change, and where their values are."""
     names = dict.fromkeys(target.template.names, 0)
     return {
@@ -284,7 +282,7 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
     )
 
 
-def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chain) -> list[Calls]:
+def calls_of(target: SceneTarget, parts: list[Part], model: Model, chain: Chain) -> list[Calls]:
     """Compile what a mixture's steps call and return where it lies."""
     rng, index, flat, members = np.random.default_rng(), np.int64(0), np.zeros(1), np.zeros(1, np.int64)
     calls = []
@@ -306,14 +304,14 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
     return calls
 
 
-def object_below(target: "SceneTarget", name: str) -> tuple[int, int, int, int]:
+def object_below(target: SceneTarget, name: str) -> tuple[int, int, int, int]:
     """Return of a relocated object its vertex, the vertex and face that it is put on, and the unknown that turns it."""
     names, addresses = target.template.names, [unknown.address for unknown in target.space.unknowns]
     base, face = target.bases[name]
     return names.index(name), names.index(base), FEATURE_CODES[face], addresses.index(f"{name}.contact.theta")
 
 
-def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> Places:
+def places_seen(target: SceneTarget, parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> Places:
     """Return the Places of the kernels that put objects down, from (K, P) values.
 
     chain : any of the model's; it is left at the last values.
@@ -328,7 +326,7 @@ def places_seen(target: "SceneTarget", parts: list[Part], model: Model, chain: C
             for (k, told), seen in zip(chosen.items(), places, strict=True)}  # fmt: skip
 
 
-def taken_elsewhere(target: "SceneTarget", parts: list[Part]) -> frozenset[int]:
+def taken_elsewhere(target: SceneTarget, parts: list[Part]) -> frozenset[int]:
     """Return the numbers of the kernels that move a number which compiled steps cannot change."""
     kept = set(held(target).values())
     moved = [{target.space.offsets[i] for i in part.block.unknowns} for part in parts]

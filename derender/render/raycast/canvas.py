@@ -7,10 +7,11 @@ and another cut into each other the line is that of the affine function nearest 
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
 from derender.render.raycast.convex import (
     FACES,
@@ -23,10 +24,6 @@ from derender.render.raycast.convex import (
     prepare_solid,
 )
 from derender.scene.solids import PLANE
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
-
 
 FACE_BITS = 24
 FACE_MASK = (1 << FACE_BITS) - 1
@@ -95,7 +92,7 @@ class Canvas(NamedTuple):
     pieces: Pieces
 
 
-def new_canvas(camera: "Camera", solids: int) -> Canvas:
+def new_canvas(camera: Camera, solids: int) -> Canvas:
     """Allocate a Canvas for a Camera and this many solids, none of them a mesh."""
     height, width = camera.height, camera.width
     pixels = height * width

@@ -4,16 +4,14 @@ Triangle meshes are drawn by a z-buffer in inverse depth, which is affine over e
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.raycast.convex import PREPARED, inverse_depths, prepare_solid
 from derender.scene.solids import MESH, Solids
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
 
 
 class Meshes(NamedTuple):
@@ -87,13 +85,13 @@ def rasterise_address(meshes: Meshes, buffer: np.ndarray) -> int:
     return address_of(draw_mesh, buffer, meshes, np.int64(0), size, pose, size, rectangle)
 
 
-def camera_array(camera: "Camera") -> np.ndarray:
+def camera_array(camera: Camera) -> np.ndarray:
     """Return fx, fy, cx, cy as (4,) float64."""
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
 
 
 def render_depth(
-    solids: Solids, camera: "Camera", antialias: int = 1, background: float = np.nan
+    solids: Solids, camera: Camera, antialias: int = 1, background: float = np.nan
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render the depth image of posed solids by casting a ray through every pixel centre.
 

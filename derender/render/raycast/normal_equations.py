@@ -21,10 +21,11 @@ a linear form on motions (a covector): `Records` list pixel, solid and form.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.blur import blur_into
 from derender.render.raycast.antialias import TWO, draw_antialiased
@@ -40,10 +41,6 @@ from derender.render.raycast.canvas import (
 from derender.render.raycast.convex import DEPTH, FACES, LINES, NORMAL
 from derender.scene.solids import CYLINDER
 
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
-
-
 MOTION = 9  # twist (v, w) and the rates of the three extents
 
 
@@ -58,7 +55,7 @@ class Records(NamedTuple):
     filled: np.ndarray  # (1,) int64, how many are
 
 
-def new_records(camera: "Camera", solids: int) -> Records:
+def new_records(camera: Camera, solids: int) -> Records:
     """Allocate Records for a Camera and this many solids: four for every pixel, and the outlines."""
     size = 4 * camera.width * camera.height + solids * 16 * (camera.width + camera.height)
     return Records(np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros((size, MOTION)), np.zeros(1, np.int64))
@@ -260,7 +257,7 @@ class Misfit(NamedTuple):
 
 
 def new_misfit(
-    camera: "Camera",
+    camera: Camera,
     observed: np.ndarray,
     sigma: float | np.ndarray,
     kinds: np.ndarray,

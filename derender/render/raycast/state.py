@@ -5,19 +5,17 @@ outside the regions of a pending proposal.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import interpreted, njit
 from derender.render.blur import reach, write_taps
 from derender.render.raycast.convex import PREPARED
 from derender.render.raycast.depth import Meshes, camera_array, flat_meshes
 from derender.render.raycast.lane_names import LANES
 from derender.scene.solids import MESH, Solids
-
-if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
 
 # numpy integers, not literals: numba would compile every function once for each literal
 CURRENT, CANDIDATE = np.int64(0), np.int64(1)
@@ -100,7 +98,7 @@ set_blur = interpreted(take_blur)
 
 
 def new_state(
-    camera: "Camera",
+    camera: Camera,
     observed: np.ndarray,
     solids: Solids,
     kind: int,

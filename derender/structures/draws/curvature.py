@@ -9,7 +9,7 @@ This is for steps to be made from: what a walk meets corrects it, and nothing th
 """
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,10 +34,8 @@ from derender.structures.draws.chart import (
     place_rows,
     rows_at,
 )
+from derender.structures.draws.sensor import Sensor
 from derender.structures.draws.steps import touched_by_each
-
-if TYPE_CHECKING:
-    from derender.structures.draws.sensor import Sensor
 
 SHARP = 100.0  # a pixel at an edge tells where that is to a tenth of a pixel
 APART = 0.5  # pixels from the mode to either side
@@ -53,7 +51,7 @@ class Curvature:
     values : (D,) coordinates of a mode.
     """
 
-    def __init__(self, views: Views, chart: Chart, sensor: "Sensor", values: np.ndarray) -> None:
+    def __init__(self, views: Views, chart: Chart, sensor: Sensor, values: np.ndarray) -> None:
         self.chart, self.values = chart, values
         self.images = [ImageCurvature(engine_of_view(views, number), chart, view, values)
                        for number, view in enumerate(sensor.views)]  # fmt: skip
@@ -73,7 +71,7 @@ class Curvature:
 class ImageCurvature:
     """What small moves do to one image. engine : EngineState of its view; sensor : Sensor of it alone."""
 
-    def __init__(self, engine: EngineState, chart: Chart, sensor: "Sensor", values: np.ndarray) -> None:
+    def __init__(self, engine: EngineState, chart: Chart, sensor: Sensor, values: np.ndarray) -> None:
         self.engine, self.chart, self.values, self.into = engine, chart, values, sensor.into
         height, width = sensor.observed.shape
         pixels = slice(PAD, PAD + width)
@@ -177,7 +175,7 @@ def limit_at_border(change, weight, height, width):
             column = last if inner and column == PAD else column + 1
 
 
-def weights(sensor: "Sensor", base: np.ndarray) -> np.ndarray:
+def weights(sensor: Sensor, base: np.ndarray) -> np.ndarray:
     """Return (H, W) the precision of each pixel's residual, given the model's depth (H, W); 0 where none returned."""
     growth = sensor.values.get("sigma_growth", 0.0)
     return precision_of_pixels(sensor.observed, base, sensor.values["sigma"], growth, sensor.worth)

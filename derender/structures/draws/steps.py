@@ -7,16 +7,14 @@ moves one top leaves those above where they are (`tops_of`).
 """
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.scene.solids import SPHERE
 from derender.structures.draws.chart import FLOOR_WAYS, HELD, KIND, PARENT, SIZE, TURN, VERTICAL, Chart, X, Z
-
-if TYPE_CHECKING:
-    from derender.structures.draws.sensor import Sensor
+from derender.structures.draws.sensor import Sensor
 
 PIVOTS = np.array([(0, 0, 0), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0)])  # half sides from the centre
 # Where a centre goes as up to three sides grow by one, each held at one end or the other: (2^n, n) for n sides.
@@ -212,7 +210,7 @@ def weight_of(chart: Chart, first: Any) -> np.ndarray:
     return np.where(np.asarray(first) >= size_of(chart) - FLOOR_WAYS, FLOOR_SHARE, 1.0)
 
 
-def unseen_steps(chart: Chart, sensor: "Sensor", only: list[int] | None = None) -> list[Step]:
+def unseen_steps(chart: Chart, sensor: Sensor, only: list[int] | None = None) -> list[Step]:
     """Return the Steps that move one side of a box or cylinder which all cameras are behind, the opposite one held."""
     size, floors = size_of(chart), [view.into @ chart.floor for view in sensor.views]
     eyes = [-floor[:3, :3].T @ floor[:3, 3] for floor in floors]

@@ -13,14 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender import __version__
 from derender.detection.estimate import point_estimate
 from derender.detection.floor import read_floor
-from derender.detection.search.observation import CORRELATED
+from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.solids.beliefs import any_sensor
 from derender.detection.solids.graph import scene_graph
 from derender.document import Document, document_text, read_prior_document
@@ -32,6 +32,7 @@ from derender.sampling.chains import Plan, Record, Segment, fingerprint, run_cha
 from derender.scene.distributions import within
 from derender.scene.graph import ROOT, SceneGraph, Vertex, floating
 from derender.scene.pose import inverse
+from derender.scene.priors.objects import ShapePrior
 from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, written
 from derender.scene.shapes import shapes
@@ -39,14 +40,9 @@ from derender.scene.shapes.kinds import ROTATIONS
 from derender.structures.answer import explanation_of
 from derender.structures.case import settings_of, whole_camera
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
-from derender.structures.jumps.proposal import About, Hypothesis, HypothesisProposal, vertex_of
+from derender.structures.jumps.proposal import About, Component, Hypothesis, HypothesisProposal, vertex_of
+from derender.structures.options import Options
 from derender.structures.parts import part_at
-
-if TYPE_CHECKING:
-    from derender.detection.search.observation import Observation
-    from derender.scene.priors.objects import ShapePrior
-    from derender.structures.jumps.proposal import Component
-    from derender.structures.options import Options
 
 OTHER_KIND = 0.2  # weight of a solid as another kind than it was found to be, beside that kind's
 FARTHEST = 8.0  # metres along the view within which a depth camera may meet the floor; see workflow.NEARBY
@@ -91,7 +87,7 @@ def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, a
 
 
 def _named(
-    entry: "ShapePrior", pose: np.ndarray, size: np.ndarray, turns: np.ndarray, up: np.ndarray
+    entry: ShapePrior, pose: np.ndarray, size: np.ndarray, turns: np.ndarray, up: np.ndarray
 ) -> list[tuple[dict[str, float], np.ndarray]]:
     """Return (parameters, pose) of a solid as a shape, its axes named anew by some turns (K, 3, 3), each once."""
     variants: list[tuple[dict[str, float], np.ndarray]] = []
@@ -134,7 +130,7 @@ def start_graph(words: Vocabulary, base: SceneGraph, seen: SceneGraph) -> SceneG
     return graph
 
 
-def _placed(words: Vocabulary, graph: SceneGraph, component: "Component") -> SceneGraph | None:
+def _placed(words: Vocabulary, graph: SceneGraph, component: Component) -> SceneGraph | None:
     """Return the graph with a component's vertex, shrunk as far as it takes; None where nothing helps."""
     for share in (1.0, 0.99, 0.97, 0.94):
         values = {key: share * x if key.startswith("shape.") and key in component.spreads else x
@@ -155,7 +151,7 @@ SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
 def infer_by_jumps(
     image: np.ndarray,
     camera: Any,
-    options: "Options",
+    options: Options,
     document: Any,
     rng: np.random.Generator | None = None,
     progress: Any = None,
@@ -225,7 +221,7 @@ def infer_by_jumps(
     return replace(posterior, explanation=explanation, meta=meta)
 
 
-def _likelihood_of(document: Document, seen: "Observation", depth: np.ndarray) -> tuple[str, dict[str, float]]:
+def _likelihood_of(document: Document, seen: Observation, depth: np.ndarray) -> tuple[str, dict[str, float]]:
     """Return the likelihood's name and numbers: the document's, else one with the noise seen on the floor, which
     neighbouring pixels share where the image shows that they do."""
     if document.likelihood is not None:
