@@ -3,6 +3,7 @@
 Regions of pixels on one plane grow from the best pixels on, then are mended at their borders.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -325,27 +326,16 @@ def fit_regions(points, label, regions, origin):
     return normal, offset, sums[:, 0].astype(np.int64), centre, residual
 
 
-@njit(cache=True, nogil=True)
-def touching_pixels(points, label, regions, jump):
-    """Return (P, P) int64: pairs of neighbouring pixels of two regions without a jump in depth."""
-    height, width = label.shape
+def touching_pixels(points: np.ndarray, label: np.ndarray, regions: int, jump: np.ndarray) -> np.ndarray:
+    """Return (P, P) int64: pairs of pixels of two regions, one or two apart, without a jump in depth."""
     touching = np.zeros((regions, regions), np.int64)
-    for j in range(height):
-        for i in range(width):
-            a = label[j, i]
-            if a < 0:
-                continue
-            for way in range(4):
-                v, u = (j, i + 1 + way // 2) if way % 2 == 0 else (j + 1 + way // 2, i)
-                if v >= height or u >= width:
-                    continue
-                b = label[v, u]
-                if b < 0 or a == b:
-                    continue
-                if separation(points, j, i, v, u) < (jump[j, i] * (2.0 + way // 2)) ** 2:
-                    touching[a, b] += 1
-                    touching[b, a] += 1
-    return touching
+    for axis, step in product(range(2), (1, 2)):
+        here, there = ((slice(None),) * axis + (part,) for part in (slice(-step), slice(step, None)))
+        a, b = label[here], label[there]
+        apart = np.square(points[there] - points[here]).sum(axis=-1)
+        met = (a >= 0) & (b >= 0) & (a != b) & (apart < ((1.0 + step) * jump[here]) ** 2)
+        np.add.at(touching, (a[met], b[met]), 1)
+    return touching + touching.T
 
 
 SMALLEST = 8  # pixels that a patch must have, and half of them when its pixels were assigned anew
