@@ -30,31 +30,17 @@ FILLED, DEEPER = 1.5, 1.4
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
-@njit(cache=True, nogil=True)
-def concave_edges(points, mask, normal, jump):
+def concave_edges(points: np.ndarray, mask: np.ndarray, normal: np.ndarray, jump: np.ndarray) -> np.ndarray:
     """Return (H, W) bool: pixels of the mask through which a concave edge passes."""
-    height, width = mask.shape
-    found = np.zeros((height, width), np.bool_)
-    for j in range(height):
-        for i in range(width):
-            if not mask[j, i]:
-                continue
-            for way in range(2):
-                a, b = (j, i - REACH) if way == 0 else (j - REACH, i)
-                c, d = (j, i + REACH) if way == 0 else (j + REACH, i)
-                if a < 0 or b < 0 or c >= height or d >= width or not mask[a, b] or not mask[c, d]:
-                    continue
-                if separation(points, a, b, c, d) > (2.0 * REACH * jump[j, i]) ** 2:
-                    continue
-                cosine, opening, one, other = 0.0, 0.0, 0.0, 0.0
-                for axis in range(3):
-                    p, q = normal[a, b, axis], normal[c, d, axis]
-                    cosine += p * q
-                    opening += (q - p) * (points[c, d, axis] - points[a, b, axis])
-                    one += p * p
-                    other += q * q
-                if one > 0.5 and other > 0.5 and cosine < CONCAVE and opening < 0.0:
-                    found[j, i] = True
+    found = np.zeros(mask.shape, bool)
+    for axis in range(2):
+        spans = slice(-2 * REACH), slice(REACH, -REACH), slice(2 * REACH, None)
+        before, here, after = ((slice(None),) * axis + (span,) for span in spans)
+        apart, one, other = points[after] - points[before], normal[before], normal[after]
+        near = np.square(apart).sum(axis=-1) <= (2.0 * REACH * jump[here]) ** 2
+        known = (np.square(one).sum(axis=-1) > 0.5) & (np.square(other).sum(axis=-1) > 0.5)
+        bent = ((one * other).sum(axis=-1) < CONCAVE) & (((other - one) * apart).sum(axis=-1) < 0.0)
+        found[here] |= mask[before] & mask[here] & mask[after] & near & known & bent
     return found
 
 
