@@ -332,7 +332,7 @@ def without_background(
 ) -> tuple[Observation, State, list[Any]]:
     """Return (Observation, State, masks) without the solids and the free-form things that are pieces of the background.
 
-    What the image's border cuts may be an object nevertheless: how probably is in the Observation's clutter.
+    What the image's border cuts may be an object nevertheless: how probably is in the Observation's `cut_short`.
 
     What stands there is told apart body by body (`background.py`) before solids are known; a hand that touches a carton
     or a wall's lower end are found as solids of their own only then. masks : [(H, W) bool] of free-form things.
@@ -382,9 +382,9 @@ def without_background(
     cut = [mask for mask in cut
            if mask.sum() >= FEWEST and cut_short(surface, upright(mask), normal, beyond, frame)]  # fmt: skip
     told = [existence_of(seen, kept, mask, settings, shows_below(seen, kept, mask))[0] for mask in cut]
-    clutter = [(mask, CUT_SHORT * probability) for mask, probability in zip(cut, told, strict=True)]
+    short = tuple((mask, CUT_SHORT * probability) for mask, probability in zip(cut, told, strict=True))
     image.floor[gone] = image.depth[gone]
-    return seen._replace(behind=seen.behind | gone, clutter=(*seen.clutter, *clutter)), kept, left
+    return seen._replace(behind=seen.behind | gone, cut_short=seen.cut_short + short), kept, left
 
 
 def silhouette(image: Image, state: State, k: int) -> np.ndarray:

@@ -88,7 +88,7 @@ def report_of(
         meta = {} if posterior is None else posterior.meta
         fit = fit_of(graph, camera, observed, likelihood or {}, told, meta.get("noise", 0.0))
         given = meta.get("faces", 0.0) > 0.0 and not meta.get("camera_guessed")
-        seen = meta.get("spots", ()), given, meta.get("clutter", ())
+        seen = meta.get("spots", ()), given, [*meta.get("clutter", ()), *meta.get("cut_short", ())]
         doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, *seen))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})

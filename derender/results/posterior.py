@@ -317,6 +317,7 @@ HEADER = {
     "seed": {int, None}, "command": {str, None}, "version": {str, None},
     "meta": {
         "camera?": dict, "camera_guessed?": bool, "clutter?": [(float, float, float, float, float)],
+        "cut_short?": [(float, float, float, float, float)],
         "doubts?": [str], "existence?": {str: (float, float)}, "explained?": float, "faces?": float,
         "hanging?": [str], "hidden_expected?": {float, None}, "image?": str, "in_doubt?": [str],
         "likelihood?": LIKELIHOOD, "lost_chains?": list, "missed?": float, "noise?": float,

@@ -117,6 +117,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     ]  # fmt: skip
     solids = [vertex.name for vertex in posterior.best_part.graph.vertices if vertex.body.size() is not None]
     none = sum(1.0 - posterior.object_probability(name) for name in solids)
+    # What the image's border cuts is nowhere seen as it is: its like may be missed, and all the rest be right.
     more = sum(probability for probability, *_ in posterior.meta.get("clutter", ()))
     if none + more > max(MOST_WRONG, FEW * len(solids)):
         words = f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others"

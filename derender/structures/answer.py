@@ -47,6 +47,7 @@ def answered(case: Case, looks: "list[Look]", parts: list[StructurePosterior], o
             "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
             "hidden_expected": extras.get("hidden_expected"), "spots": extras.get("spots", []),
             "clutter": [(p, *place_of(mask)) for each in observations for mask, p in each.clutter],
+            "cut_short": [(p, *place_of(mask)) for each in observations for mask, p in each.cut_short],
             "likelihood": likelihood_of(parts, observations, case)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=case.options.seed, meta=meta)
     graph = posterior.best_graph()

@@ -123,11 +123,11 @@ def test_what_the_border_cuts_is_background_and_yet_told_as_what_may_be_an_objec
     upper = seen.mask & (seen.points[..., 2] > 0.1) & (seen.points[..., 2] < 0.2)
     assert upper[:, -1].any() and upper.sum() > 100
     there, _, masks = without_background(seen, State(), [upper], Settings())
-    ((mask, probability),) = there.clutter
-    assert not masks and there.behind[upper].all() and (mask == upper).all()
+    ((mask, probability),) = there.cut_short
+    assert not masks and not there.clutter and there.behind[upper].all() and (mask == upper).all()
     assert 0.4 < probability < 0.5
     inner = np.roll(upper, -20, axis=1)  # not cut
-    assert not without_background(seen, State(), [inner], Settings())[0].clutter
+    assert not without_background(seen, State(), [inner], Settings())[0].cut_short
 
 
 def test_a_thing_has_the_low_parts_that_it_goes_on_into():

@@ -76,6 +76,7 @@ def test_an_answer_is_doubted_in_which_much_is_expected_to_be_wrong(count, known
     which holes had cut a sack in two, either part of it clutter rather than an object."""
     posterior = seen_by_a_sensor(0.0)
     posterior.meta["clutter"] = [(probability, 0.0, 0.1, 0.0, 0.1) for probability in clutter]
+    posterior.meta["cut_short"] = [(0.48, 0.0, 0.1, 0.0, 0.1)]  # another object or none: what is told is right
     vertices = [SimpleNamespace(name=f"box_{k}", body=posterior.best_part.graph.body("")) for k in range(count)]
     posterior.best_part.graph.vertices = vertices
     posterior.best_part.values, posterior.object_probability = np.zeros((1, 1, 0)), lambda name: known

@@ -108,6 +108,7 @@ class Observation(NamedTuple):
     bend: np.ndarray | None = None
     things: tuple = ()
     clutter: tuple = ()  # ((H, W) bool, probability): what is none of them, though it may be one
+    cut_short: tuple = ()  # the same of what the image's border cuts: an arm, a piece of furniture, or an object
     interrupted: bool = False  # whether the search that looked at it was, so that what it found is the best so far
     agreed: bool = True  # whether two searches found the same
     wall: float | None = None  # metres to the one depth that lies behind everything, Eq. 6; None: none is seen
