@@ -207,7 +207,8 @@ def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
 
 def background_over_floor(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions over the visible floor that are taken as background: what stands there is
-    not told. What lies beyond it, the room behind a table, says nothing of what is on it."""
+    not told. What lies beyond it, the room behind a table, says nothing of what is on it; nor do furniture and walls
+    that the image cuts off, where anything is told."""
     if not fit.background.any():
         return []
     valid, poses = np.isfinite(observed), graph.poses()
@@ -222,7 +223,19 @@ def background_over_floor(graph: SceneGraph, fit: Fit, camera: Camera, observed:
             over[above] |= beyond.max(axis=1) < -RIM
     regions = tuple(region for region in coherent(over, valid) if region.share > MOST_OVER)
     words = ", ".join(f"{percent(region.share)} of the image {region.where}" for region in regions)
-    return [Doubt(f"what stands over the floor is taken as background: {words}", True, regions)] if regions else []
+    told = any(vertex.body.size() is not None for vertex in graph.vertices)
+    serious = not told or not all(at_border(region.mask, valid) for region in regions)
+    return [Doubt(f"what stands over the floor is taken as background: {words}", serious, regions)] if regions else []
+
+
+def at_border(mask: np.ndarray, valid: np.ndarray) -> bool:
+    """Return whether a region (H, W) reaches the border of what the image shows; valid : (H, W) bool."""
+    wide = round(mask.shape[1] / THIN)  # what opening it took off
+    for seen, own in ((valid.any(axis=k), np.flatnonzero(mask.any(axis=k))) for k in (0, 1)):
+        first, last = np.flatnonzero(seen)[[0, -1]]
+        if own[0] <= first + wide or own[-1] >= last - wide:
+            return True
+    return False
 
 
 def no_floor(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt]:

@@ -120,6 +120,11 @@ def test_background_over_the_floor_is_no_explanation_and_beyond_it_says_nothing_
     seen = image(scene(cube("large", side=0.18, theta=0.3)))
     (doubt,) = doubts_of(empty, seen, told=seen)
     assert doubt.serious and doubt.words.startswith("what stands over the floor is taken as background: ")
+    beside = image(scene(*TRUE.vertices[1:], cube("cut", 0.5, side=0.25, theta=0.3)))
+    (doubt,) = doubts_of(TRUE, beside, told=beside)
+    assert not doubt.serious and trusted([doubt])  # a cupboard that the border cuts
+    (doubt,) = doubts_of(empty, beside, told=beside)
+    assert doubt.serious  # all that is seen is cut, or not told
     behind = image(TRUE)
     behind[:48] = behind[102:] = 3.0  # a room about a table, in over half of the image
     assert doubts_of(TRUE, behind, told=behind) == ()
