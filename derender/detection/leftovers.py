@@ -22,6 +22,7 @@ from derender.detection.search.bodies import body_hypotheses, box_about, bridged
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import Hypothesis
+from derender.detection.segments import two_sides
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import State, held_out, run_polish
@@ -71,7 +72,8 @@ def leftovers(
         *bridged(seen.points, left, seen.surface.jump, seen.footprint, image.weight == 0, cost.believed.patch)
     )
     shows = seen.mask & ~left & (image.floor > depth)
-    for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
+    large = np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS)
+    for k in with_insides(seen, piece, left, large):
         whole, mask = piece == k, (piece == k) & left
         low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
@@ -102,6 +104,22 @@ def leftovers(
         (found if exists else clutter).append(mask)
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return seen._replace(clutter=tuple(seams)), state, found, clutter
+
+
+def with_insides(seen: Observation, piece: np.ndarray, left: np.ndarray, large: np.ndarray) -> list[int]:
+    """Return the numbers of the large pieces, the inside of a bowl being of its outside's from now on.
+
+    piece : (H, W) int, changed. left : (H, W) bool, the pixels that tell. large : the pieces' numbers.
+    """
+    kept: list[int] = []
+    for k in large.tolist():
+        own = seen.points[(piece == k) & left]
+        other = next((n for n in kept if two_sides(seen.points[(piece == n) & left], own, seen.image.origin)), None)
+        if other is None:
+            kept.append(k)
+        else:
+            piece[piece == k] = other
+    return kept
 
 
 def with_solid(

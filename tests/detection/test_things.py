@@ -26,6 +26,7 @@ from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import leftovers, swaps
 from derender.detection.outline import foot_radius, vertical_axis
 from derender.detection.patches import APART, SeenSurface
+from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
@@ -529,6 +530,15 @@ def test_what_seems_to_be_a_seam_is_told_to_be_an_object_with_its_probability():
     assert len(state) + len(found) + len(clutter) == 0
     ((mask, probability),) = seen.clutter
     assert mask[seen.mask].all() and 0.1 < probability < 0.5
+
+
+def test_the_inside_of_a_bowl_that_is_left_over_belongs_to_its_outside():
+    """It did not pay its price as a thing, and so was a box, the bowl's inside, behind a thing, its front."""
+    seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, (0.14, 0.14, 0.07), bowl())]), CAMERA)
+    seen = seen._replace(correlation=0.9, mask=seen.mask & (seen.points[..., 2] < 0.06))  # without its rim
+    _, state, found, _ = leftovers(np.random.default_rng(0), seen, State(), Settings(temper=20.0))
+    assert label_bodies(seen.points, seen.mask, seen.surface.jump)[1] == 2
+    assert len(state) == 0 and [int(mask.sum()) for mask in found] == [int(seen.mask.sum())]
 
 
 def test_what_is_left_over_and_low_is_an_object_where_it_shows_clearly():
