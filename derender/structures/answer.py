@@ -56,10 +56,9 @@ def answered(case: Case, looks: "list[Look]", parts: list[StructurePosterior], o
         meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], case.frames, strict=True)]
     told = explanation_of(graph, observations, case.depth, case.camera)
     elsewhere = {name: share for name, share in told.borne_out(case.depth).items() if share < LEAST_FITTING}
-    rather = {name: share for name, share in elsewhere.items() if share < RATHER}
     if seen.correlation > CORRELATED and not case.library:
         meta["existence"].update(chances(meta["existence"], graph, told, case))
-    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], rather)))
+    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], elsewhere)))
     for name, share in elsewhere.items():
         known, error = meta["existence"].get(name, (1.0, 0.0))
         meta["existence"][name] = (share * known, error)
@@ -141,8 +140,9 @@ def with_absences(
     would be told as the likeliest, though the object is there more often than not. What the others leave is nobody's.
 
     existence : by name, (probability that it is an object, whatever else is one; standard error of that).
-    elsewhere : by name, how probably an object is one that is seen somewhere else than where it should be; if it is
-        not, something else is there.
+    elsewhere : by name, which share of where an object should be seen it explains. A free-form thing, drawn as it is
+        seen, is an object so much less probably; of a solid it is the probability, below RATHER, that it is one that is
+        seen somewhere else; if it is not, something else is there.
     """
     from derender.structures.free_forms import without_object
 
@@ -150,8 +150,11 @@ def with_absences(
     for part in parts:
         held = {on for vertex in part.graph.vertices for on in (vertex.parent, *vertex.supports)}
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
-        shares = [np.array([known, 1.0 - known]) for known, _ in doubted.values()]
-        as_told = float(np.prod([max(share, SELDOM) for name, share in elsewhere.items() if name in part.graph.names]))
+        free = {vertex.name: vertex.shape == "thing" for vertex in part.graph.vertices}
+        chance = [of[0] * (elsewhere.get(name, 1.0) if free[name] else 1.0) for name, of in doubted.items()]
+        shares = [np.array([known, 1.0 - known]) for known in chance]
+        solids = [share for name, share in elsewhere.items() if free.get(name) is False and share < RATHER]
+        as_told = float(np.prod([max(share, SELDOM) for share in solids]))
         all_there = (0,) * len(doubted)
         choices = [chosen for chosen, _ in likeliest(shares)] if part is likeliest_part else [all_there]
         for chosen in choices:
