@@ -8,9 +8,8 @@ so the log acceptance ratio is
 Others are made from a normal that resembles the posterior (preconditioned Crank-Nicolson): where u = P (q - center) are
 standard normal under it, given the coordinates that stay, u' = sqrt(1 - scale^2) u + scale z and q' = q + F (u' - u).
 They leave that normal as it is, so the ratio has |u'|^2 / 2 - |u|^2 / 2 besides: at scale 1 all of q's block is drawn
-anew, and always taken up were the posterior that normal.
-
-Scales, factors and centers are learnt in the warm-up and fixed afterwards.
+anew, and always taken up were the posterior that normal. Scales, factors and centers are learnt in the warm-up and
+fixed afterwards.
 """
 
 import itertools
