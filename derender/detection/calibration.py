@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import grown, shrunk
 from derender.detection.floor import rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
@@ -72,10 +73,8 @@ def whole_patches(inliers: np.ndarray) -> np.ndarray:
 
     What is chosen by its own residual has lost those that a fit has to see: outliers, tails, drifts.
     """
-    from scipy import ndimage
-
-    closed = ndimage.binary_closing(inliers, iterations=BETWEEN)
-    return ndimage.binary_opening(closed, iterations=BETWEEN)
+    closed = shrunk(grown(inliers, BETWEEN), BETWEEN)
+    return grown(shrunk(closed, BETWEEN), BETWEEN)
 
 
 def fit_sensor(

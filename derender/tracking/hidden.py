@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import greatest, labelled, least
 from derender.posterior.sampler import next_temperature
 from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.pose import moved, rotation_vector
@@ -148,9 +149,7 @@ def blobs_of(tracker: "Tracker") -> list[Blob]:
     near = (observed > 0) & (tracker.misfit.blurred - observed > OFF * tracker.spread + AT_LEAST)
     if int(near.sum()) < SMALLEST:
         return []
-    from scipy.ndimage import binary_closing, label
-
-    marks, count = label(binary_closing(near, np.ones((3, 3))))
+    marks, count = labelled(least(greatest(near, 1), 1))
     sizes = np.bincount(marks.ravel(), weights=near.ravel(), minlength=count + 1)
     found = []
     for number in np.argsort(-sizes[1:])[:MOST] + 1:

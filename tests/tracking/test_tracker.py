@@ -1,5 +1,7 @@
 """Things are followed through made films: moved, thrown, put down, hidden; poses, spreads and contacts are right."""
 
+from types import SimpleNamespace
+
 import films
 import numpy as np
 import pytest
@@ -197,6 +199,16 @@ def test_the_motion_that_fits_best_of_a_few_is_not_the_only_one_that_is_believed
     assert 1 / np.sum(sure.weights**2) > 2.9 and np.sqrt(sure.covariance()[0, 0]) > 0.05
     unsure = Hidden(paths, 0.1 * np.arange(16), 1e-6 * np.eye(6))
     np.testing.assert_allclose(unsure.weights, np.exp(-unsure.costs) / np.exp(-unsure.costs).sum())
+
+
+def test_what_enters_is_seen_up_to_the_images_border():
+    """Small holes in a patch are closed, by which it lost the border's pixels: where things come in."""
+    drawn, observed = np.full((CAMERA.height, CAMERA.width), 0.8), np.full((CAMERA.height, CAMERA.width), 0.8)
+    observed[10:20, :6] = 0.6
+    observed[15, 3] = 0.0
+    seen = SimpleNamespace(observed=observed, spread=0.002, camera=CAMERA, misfit=SimpleNamespace(blurred=drawn))
+    (blob,) = blobs_of(seen)
+    assert blob.pixels == 59 and blob.mask[:, 0].sum() == 10
 
 
 def test_what_comes_back_may_have_rolled_over_as_a_motion_of_it_did():
