@@ -40,7 +40,8 @@ class Impacts:
     """Tracked poses of one film, cut at impacts.
 
     motion : the film, of `frames` frames and `count` bodies. seen : (T, N) bool, where a pose tells something.
-    rested : (N,) bool, whether a body rests in the first frame.
+    rested : (N,) int, for how many frames after the first one tracking holds a body's pose: it rests, or nearly so.
+    held : (T, N) bool, where it holds one, the first frame of the film included.
     tracked : (T, N, 13), states at rest at the tracked poses. filled : interpolated where a body was not seen.
     spread : (T, N, 6, 6), covariances of the tracked poses. floors : (4, 4) poses of planes.
     is_cut : (T, N) bool, the first frame and the first one after each impact; cuts : their (frame, body).
@@ -53,7 +54,9 @@ class Impacts:
     def __init__(self, motion: Motion) -> None:
         self.motion, self.gravity = motion, np.asarray(motion.matter.gravity, float)
         self.count, self.frames = len(motion.names), len(motion.times)
-        self.seen, self.rested = motion.fresh, motion.held[1]
+        self.seen, self.held = motion.fresh, motion.held
+        self.rested = np.cumprod(self.held[1:], axis=0).sum(axis=0)
+        self.held[0] = self.rested > 0
         self.bodies = [motion.body(name) for name in motion.names]
         self.sizes = np.array([float(np.mean(body.size)) for body in self.bodies])
         known = motion.seen[..., None, None]
@@ -93,8 +96,7 @@ class Impacts:
         # What rested and is struck shows when: whatever else moves may be what struck it. If it is slow, its pose
         # is let go by tracking some frames before it is that far.
         gone = np.argmax(np.linalg.norm(states[..., :3] - states[0, :, :3], axis=-1) > STRUCK, axis=0)
-        let_go = 1 + np.argmin(self.motion.held[1:], axis=0)
-        for begun in np.where(self.rested, np.minimum(gone, let_go), gone) if self.count > 1 else ():
+        for begun in np.where(self.rested, np.minimum(gone, 1 + self.rested), gone) if self.count > 1 else ():
             if begun > 1:
                 result[begun - 1 : begun + 3] = False
                 result[begun] = True

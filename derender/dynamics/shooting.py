@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
-from derender.dynamics.motion import HELD_WITHIN, Motion
+from derender.dynamics.motion import HELD_TURN, HELD_WITHIN, Motion
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.states import CHANGE, FREE, FREE_BALL, difference, flush, moved, ways_of
 from derender.scene.friction import MEDIAN
@@ -94,20 +94,23 @@ class Shooting(Impacts):
             ways = FREE_BALL if self.bodies[k].kind == "sphere" else FREE
             if plane is not None:
                 ways = ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
-            # tracking that holds a pose says that the body rests: its speed is no unknown
-            self.ways.append(ways[:, ~ways[6:].any(axis=0)] if frame == 0 and self.rested[k] else ways)
+            self.ways.append(ways)
         held = [plane is not None and frame > 0 for plane, (frame, _) in zip(self.planes, self.cuts, strict=True)]
         self.flush = {cut: ways for cut, ways, yes in zip(self.cuts, self.ways, held, strict=True) if yes}
-        self.spins = [self._first_spin(states, frame, k) for frame, k in self.cuts]
+        self.speeds = [self._first_speeds(states, frame, k) for frame, k in self.cuts]
         ends = np.cumsum([0, *(ways.shape[1] for ways in self.ways)])
         self.parts = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
-    def _first_spin(self, states: np.ndarray, frame: int, k: int) -> float:
-        """Return body k's standard deviation of angular velocity at a cut before anything is seen of it, rad / s."""
+    def _first_speeds(self, states: np.ndarray, frame: int, k: int) -> tuple[float, float]:
+        """Return standard deviations of body k's velocity and angular velocity at a cut before anything is seen of it,
+        m / s and rad / s. What rests in the first frame may be as slow as tracking does not tell from that."""
+        if frame == 0 and self.rested[k]:
+            seconds = int(self.rested[k]) * self.motion.step
+            return HELD_WITHIN / seconds, HELD_TURN / seconds
         if frame > 0 or self.bodies[k].kind != "sphere":
-            return FIRST_SPIN
+            return FIRST_SPEED, FIRST_SPIN
         speed = np.linalg.norm(self.first_speed(states, frame, k)[:3])
-        return float(2 * np.hypot(speed, BALL_SURFACE) / self.sizes[k])
+        return FIRST_SPEED, float(2 * np.hypot(speed, BALL_SURFACE) / self.sizes[k])
 
     def coarser(self) -> "Shooting":
         """Return the same with films at steps so long that they tell where to climb, in a third of the time."""
@@ -307,7 +310,7 @@ class Shooting(Impacts):
                     reached[frame] = 0.0
             reached[self.is_cut[:, k]] = 0.0
             shown = np.flatnonzero(self.seen[:, k])
-            model = reached[shown] @ reached[shown].T + np.diag(self.motion.held[shown, k] * HELD_WITHIN**2)
+            model = reached[shown] @ reached[shown].T + np.diag(self.held[shown, k] * HELD_WITHIN**2)
             for frame, *pair, begins in self.blows:  # it may have begun before the frame that shows it
                 model += np.diag((shown == frame - 1) * (begins and k in pair) * (STRUCK / 2) ** 2)
             covariance = np.zeros((len(shown), 6, len(shown), 6))
@@ -378,8 +381,8 @@ class Shooting(Impacts):
         """Return standard residuals (Z,) of the unknowns' own priors and their precision's roots (Z,); 0 for none."""
         roots = np.zeros(self.size + self.parameters.size)
         residual = np.zeros(self.size + self.parameters.size)
-        for (frame, k), part, ways, spin in zip(self.cuts, self.parts, self.ways, self.spins, strict=True):
-            velocity = 1 / np.repeat([FIRST_SPEED, spin], 3)
+        for (frame, k), part, ways, speeds in zip(self.cuts, self.parts, self.ways, self.speeds, strict=True):
+            velocity = 1 / np.repeat(speeds, 3)
             roots[part] = np.linalg.norm(velocity[:, None] * ways[6:], axis=0)
             residual[part] = roots[part] * (path.states[frame, k, 7:] @ ways[6:])
         offsets = slice(self.parts[-1].stop, self.size)
