@@ -108,7 +108,7 @@ MUTATIONS = [
          RELATIONS),
         # reversible jumps
         ("jumps: birth without leaves", "structures/jumps/base.py",
-         "math.log(0.5) + log_uniform_choice(len(leaves)) if", "math.log(0.5) if", JUMPS),
+         "math.log(0.5) - math.log(len(leaves)) if", "math.log(0.5) if", JUMPS),
         ("jumps: birth twice as often", "structures/jumps/base.py",
          "if rng.random() < 0.5:\n            return w", "if rng.random() < 0.67:\n            return w", JUMPS),
         ("jumps: density of a list, not a set", "structures/jumps/base.py",

@@ -205,10 +205,6 @@ def contact_precision(chart: Chart, values: np.ndarray, members: list[int]) -> n
     if chart.floating or chart.flags[:, HELD].all():
         return total
 
-    def gap_at(k, parent, values):
-        rows = rows_at(chart, values)
-        return lowest(rows[k]) if parent == FLOOR else gap_between(rows[k], rows[parent])
-
     for k in np.flatnonzero(chart.flags[:, HELD] == 0):
         parent = int(chart.flags[k, PARENT])
         slope = np.zeros(len(members))
@@ -216,6 +212,8 @@ def contact_precision(chart: Chart, values: np.ndarray, members: list[int]) -> n
             for way in (1.0, -1.0):
                 trial = values.copy()
                 trial[member] += way * HAIR
-                slope[n] += way * gap_at(k, parent, trial) / (2.0 * HAIR)
+                rows = rows_at(chart, trial)
+                gap = lowest(rows[k]) if parent == FLOOR else gap_between(rows[k], rows[parent])
+                slope[n] += way * gap / (2.0 * HAIR)
         total += np.outer(slope, slope) / chart.slack**2
     return total

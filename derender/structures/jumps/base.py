@@ -151,11 +151,6 @@ class Vocabulary:
         return f"{kind}_{number}"
 
 
-def log_uniform_choice(count: int) -> float:
-    """Return the log probability of one among `count`."""
-    return -math.log(count) if count > 0 else -math.inf
-
-
 class State(NamedTuple):
     """A scene with its densities."""
 
@@ -324,7 +319,7 @@ class BirthDeath(Move):
         if isinstance(choice, Vertex):
             return math.log(0.5) + words.proposal.log_density(words, graph, choice)
         leaves = words.leaves(graph)
-        return math.log(0.5) + log_uniform_choice(len(leaves)) if choice in leaves else -math.inf
+        return math.log(0.5) - math.log(len(leaves)) if choice in leaves else -math.inf
 
     def apply(self, words: Vocabulary, graph: SceneGraph, choice: Any) -> Applied | None:
         if isinstance(choice, Vertex):

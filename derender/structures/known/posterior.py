@@ -132,16 +132,13 @@ def names_of(placed: list[Placed], kept: list[str] | None = None) -> list[str]:
 
 def graph_of(placed: list[Placed], parents: list[int], floor_pose: np.ndarray, names: list[str]) -> SceneGraph:
     """Return the scene graph of what was placed."""
-    given = {k: Vertex(names[k], item.known.shape, item.known.parameters, ROOT, floating(pose_of_known(item.row)),
-                       item.known.options) for k, item in enumerate(placed) if item.known is not None}  # fmt: skip
+    # a mesh keeps its own axes, whatever its proxy
+    given = {k: Vertex(names[k], item.known.shape, item.known.parameters, ROOT,
+                       floating(from_axes(rotation_of(item.row).T, item.row[10:13])), item.known.options)
+             for k, item in enumerate(placed) if item.known is not None}  # fmt: skip
     state = state_of(placed)
     state.parents = list(parents)
     return scene_graph(state, floor_pose, names, given=given)
-
-
-def pose_of_known(row: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) of a known object; a mesh keeps its own axes, whatever its proxy."""
-    return from_axes(rotation_of(row).T, row[10:13])
 
 
 def part_of_known(
