@@ -241,8 +241,10 @@ def one_search(
     for stage in (explain_rest, repair, explain_rest, explain_otherwise, explain_by_two):
         stage(climb)
     last = Climb(rng, climb.task, climb.state)  # what it tries none looks at again
-    for stage in (support_all, merge_all, unite_few):
-        stage(last)
+    support_all(last)
+    for of_one in (merged, united):  # as long as that helps
+        while any(last.takes(changed, may_cost=UNSETTLED) for changed in of_one(last)):
+            pass
     last.takes((last.state, None), SETTLED)
     state = last.state
     sweep(rng, image, state, settings, SETTLED, FINEST, 0.0)
@@ -402,17 +404,14 @@ def floats(state: State) -> bool:
     return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
 
 
-def unite_few(climb: Climb) -> None:
-    """Try to explain by one box what several neighbouring solids explain that show in few pixels each, as long as that
-    helps: pieces of what shows on both sides of another. Each is well explained, so no move looks at them; and so few
-    points do not tell which way the box is turned."""
-    while "box" in climb.task.settings.shapes and any(climb.takes(t, may_cost=UNSETTLED) for t in united(climb)):
-        pass
-
-
 def united(climb: Climb) -> Iterator[Changed]:
-    """Yield the state with each of such groups as one box."""
-    (image, settings, _), state, places = climb.task, climb.state, climb.places()
+    """Yield the state with one box for what several neighbouring solids explain that show in few pixels each: pieces of
+    what shows on both sides of another. Each is well explained, so no move looks at them; and so few points do not tell
+    which way the box is turned."""
+    (image, settings, _), state = climb.task, climb.state
+    if "box" not in settings.shapes:
+        return
+    places = climb.places()
     shown = np.bincount(places.shown[places.shown >= 0], minlength=len(state))
     for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
         points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
@@ -444,14 +443,8 @@ def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
     return [group for group in found if len(group) > 1] + pairs
 
 
-def merge_all(climb: Climb) -> None:
-    """Try to make one solid of each two that may be pieces of it, as long as that helps."""
-    while any(climb.takes(t, may_cost=UNSETTLED) for t in merged(climb)):
-        pass
-
-
 def merged(climb: Climb) -> Iterator[Changed]:
-    """Yield the state with each two such as one, grown where they differ most or along all their axes."""
+    """Yield the state with each two that may be one solid as one, grown where they differ most or along all axes."""
     for i, j in aligned_pairs(climb.state):
         for spread in ((False, False, False), (True, True, True)):
             yield merge_pair(climb.rng, climb.task, climb.state, i, j, spread)
