@@ -59,6 +59,7 @@ WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 HOPELESS = 2000.0  # nats below it at which a hot walk ends: of 714 those that were so low ended 850 and more below
 DOUBTFUL = 300.0  # nats below it up to which one climb does not show that a change is to be pruned
 AGAIN = 2  # climbs more of what is that doubtful, and of a changed solid that is not pruned
+SIZES = 2  # of a cube, from the likeliest on, and ways in which a box is longer, tried in a quick look
 TURNS = 2  # of each solid: what a walk as another shape leads to may be what it was, higher
 QUICK, MOST_PATIENT = 50, 4.0  # steps of each temperature for one changed solid, and times as many at most
 # Structures, the likeliest if no change told anything of another, and solids, those most likely other than in the best:
@@ -121,8 +122,8 @@ def of_likeliest_shapes(
     for i in range(len(best.state)):
         for _ in range(TURNS):
             alike = [state for state in changes(best, i) if state.parents[i] == best.state.parents[i]]
-            states = [*nearest_of_each_size(best, i, rules, alike), *other_shapes(best, i, shapes)]
-            found = [tried(rng, best, state, [i], rules) for state in states if still_bears(best, state, i)]
+            states = [*nearest_of_each_size(best, i, rules, alike)[:SIZES], *other_shapes(best, i, shapes)]
+            found = [tried(rng, best, state, [i], rules, again=0) for state in states if still_bears(best, state, i)]
             own, each = Block(best, [i]), likeliest_of_each([trial for trial in found if trial is not None])
             odds = [(Block(trial, [i]).near - own.near, trial) for trial in each]
             gain, likeliest = max(odds, key=itemgetter(0), default=(0.0, best))
@@ -141,7 +142,7 @@ def swapped(state: State, i: int, other: State) -> State:
 
 
 def tried(rng: np.random.Generator, best: Refined, state: State, places: list[int], rules: Rules, steps: int = QUICK,
-          least: float = PRUNE_THRESHOLD) -> Refined | None:  # fmt: skip
+          least: float = PRUNE_THRESHOLD, again: int = AGAIN) -> Refined | None:  # fmt: skip
     """Return the Refined of a state in which some solids, at `places`, are climbed, the others as in the best, under
     the sensor that it suggests itself where it is promising; None where it is more than `least` nats below the best,
     or some solid neither shows nor carries any.
@@ -156,7 +157,7 @@ def tried(rng: np.random.Generator, best: Refined, state: State, places: list[in
     trial = climb(places)
     if best.sensor.worth >= 1.0 and height(best) - DOUBTFUL < height(trial) < height(best) - least:
         above = [k for i in places for k in carried_upright(state, i) if k not in places]
-        trial = max([trial, *(climb([*places, *above]) for _ in range(AGAIN))], key=height)
+        trial = max([trial, *(climb([*places, *above]) for _ in range(again))], key=height)
     if height(trial) > height(best) - max(PROMISING, least):
         trial = with_own_sensor(rng, trial, places, WORTHWHILE)
     return trial if height(trial) > height(best) - least and all_seen(trial) else None
