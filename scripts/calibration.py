@@ -262,10 +262,11 @@ def structure_rows(records):
     said = [s for each in stated for s in each]
     best = [max(each) for each in stated]
     sure = [right for share, right in best if share >= SURE]
-    score = [np.log(max(sum(share for share, right in each if right), LEAST)) for each in stated]
+    right = f"right {np.mean(sure):.4f}" if sure else "none"
+    score = [np.log(max(sum(share for share, true in each if true), LEAST)) for each in stated]
     lines = [f"| structures | {len(said)} statements | likeliest said {np.mean([b[0] for b in best]):.4f}, "
              f"right {np.mean([b[1] for b in best]):.4f} | {told_error(best)} |",
-             f"| structures at P >= {SURE} | {len(sure)} | right {np.mean(sure) if sure else np.nan:.4f} | |",
+             f"| structures at P >= {SURE} | {len(sure)} | {right} | |",
              f"| a search that missed it | said {np.mean([r['missed'] for r in records]):.4f}, "
              f"missed {np.mean([not any(right for _, right in each) for each in stated]):.4f} | |",
              f"| log score of the truth | mean {np.mean(score):.3f} nats | not found {np.mean(np.array(score) <= np.log(LEAST)):.3f} | |"]  # fmt: skip  # noqa: E501

@@ -197,15 +197,13 @@ def cost_of(seen: Observation, believed: Things) -> Cost:
     area, crease = surface_lengths(seen.points, mask, normal, seen.surface.jump, seen.footprint)
     depth, weight = seen.image.depth, seen.image.weight
     alone = seen.correlation <= CORRELATED
-    step = STEP * depth
-    if alone:
-        step = np.maximum(step, noise_in(seen.image))
+    step = np.maximum(STEP * depth, noise_in(seen.image)) if alone else STEP * depth
     smooth, many = means_about(depth, mask, step)
     misfit = np.minimum((depth - smooth) ** 2 * weight, LIMIT)
     if alone:
         misfit = np.where(many > 1.0, np.minimum(misfit * many / np.maximum(many - 1.0, 1.0), LIMIT), LIMIT)
-        about, many = (total(values, SOME) for values in (np.where(mask, misfit, 0.0), mask.astype(float)))
-        misfit = np.maximum(about / np.maximum(many, 1.0), NOISE)
+        about, pixels = (total(values, SOME) for values in (np.where(mask, misfit, 0.0), mask.astype(float)))
+        misfit = np.maximum(about / np.maximum(pixels, 1.0), NOISE)
     return Cost(area, crease, misfit, normal, believed)
 
 

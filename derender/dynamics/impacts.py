@@ -54,7 +54,7 @@ class Impacts:
     def __init__(self, motion: Motion) -> None:
         self.motion, self.gravity = motion, np.asarray(motion.matter.gravity, float)
         self.count, self.frames = len(motion.names), len(motion.times)
-        self.seen, self.held = motion.fresh, motion.held
+        self.seen, self.held = motion.fresh, motion.held.copy()
         self.rested = np.cumprod(self.held[1:], axis=0).sum(axis=0)
         self.held[0] = self.rested > 0
         self.bodies = [motion.body(name) for name in motion.names]

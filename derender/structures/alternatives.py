@@ -129,8 +129,9 @@ def of_likeliest_shapes(
             gain, likeliest = max(odds, key=itemgetter(0), default=(0.0, best))
             if gain <= 0.0:
                 break
+            odds = [(-gain, best), *((each - gain, trial) for each, trial in odds if trial is not likeliest)]
             best = likeliest
-        others += [(i, min(gain, 0.0), trial.state) for gain, trial in odds]
+        others += [(i, gain, trial.state) for gain, trial in odds]
     floor = floor_pose_of(best)
     return [(best, 0.0), *((unclimbed(swapped(best.state, i, state), floor, best.sensor, rules), gain)
                            for i, gain, state in others)]  # fmt: skip

@@ -151,7 +151,7 @@ def with_absences(
         held = {on for vertex in part.graph.vertices for on in (vertex.parent, *vertex.supports)}
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
         free = {vertex.name: vertex.shape == "thing" for vertex in part.graph.vertices}
-        chance = [of[0] * (elsewhere.get(name, 1.0) if free[name] else 1.0) for name, of in doubted.items()]
+        chance = [known * (elsewhere.get(name, 1.0) if free[name] else 1.0) for name, (known, _) in doubted.items()]
         shares = [np.array([known, 1.0 - known]) for known in chance]
         solids = [share for name, share in elsewhere.items() if free.get(name) is False and share < RATHER]
         as_told = float(np.prod([max(share, SELDOM) for share in solids]))

@@ -34,7 +34,7 @@ TOLD_BY = 320  # columns, at least, by which the blur of a whole image is sought
 LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
 BACKGROUND = 10.0  # metres to the wall behind everything, where the image shows none
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
-NEAR, FAR, MOST_FAR = 0.1, 10.0, 1000.0  # metres, of outliers; the last is as likelihoods allow it
+NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: of pixels beyond it, only that nothing stands before that is believed
 NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and hardly anything that it does not explain
 
@@ -320,7 +320,8 @@ def outlier_range(observed: np.ndarray) -> dict[str, float]:
     """Return `near` and `far` of a robust likelihood: the default ones, or wider where the image has such depths."""
     seen = np.abs(observed[np.isfinite(observed)])
     low, high = (seen.min(), seen.max()) if len(seen) else (NEAR, FAR)
-    return {"near": float(min(NEAR, 0.9 * low)), "far": float(max(FAR, min(1.1 * high, MOST_FAR)))}
+    most = likelihoods["robust"].known["far"].upper
+    return {"near": float(min(NEAR, 0.9 * low)), "far": float(max(FAR, min(1.1 * high, most)))}
 
 
 def gaussian_fit(
