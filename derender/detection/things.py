@@ -115,16 +115,22 @@ def take_things(
     if count == 0:
         return state, []
     cost = cost_of(seen, settings.believed.loose.things)
-    if seen.correlation <= CORRELATED:
-        seen = seen._replace(image=image._replace(weight=np.where(at_edges(image, state), 0.0, image.weight)))
-    keep = set(range(len(state)))
+    keep, clear = set(range(len(state))), without_edges(seen, state)
     for members in groups_of(image, state, body, count):
-        keep = best_subset(seen, state, keep, members, cost, settings, reluctance)
+        keep = best_subset(clear, state, keep, members, cost, settings, reluctance)
     kept = subset(state, keep)
-    things, _ = pieces_of(seen, kept, cost, settings)
+    things, _ = pieces_of(without_edges(seen, kept), kept, cost, settings)
     for mask in things:
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return kept, things
+
+
+def without_edges(seen: Observation, state: State) -> Observation:
+    """Return the Observation without the pixels that the edges of a state's solids mix, where noise is independent."""
+    if seen.correlation > CORRELATED:
+        return seen
+    image = seen.image
+    return seen._replace(image=image._replace(weight=np.where(at_edges(image, state), 0.0, image.weight)))
 
 
 def at_edges(image: Image, state: State) -> np.ndarray:
@@ -134,10 +140,11 @@ def at_edges(image: Image, state: State) -> np.ndarray:
     A blur mixes both sides of an edge, and a reduced image has it up to a pixel beside its place. That says nothing of
     surfaces, but a free-form one goes through all of it: a right stack was 400 nats the worse, and two things.
     """
-    depth, _, misfit, _ = held_out(image, state, -1)
+    depth, label, misfit, _ = held_out(image, state, -1)
     depth, noise = np.minimum(depth, WALL), noise_in(image)
     near, far = least(depth, 1), greatest(depth, 1)
-    return (misfit > BAD) & (far - near > noise) & (near - noise < image.depth) & (image.depth < far + noise)
+    edge = (least(label, 1) < greatest(label, 1)) & (far - near > noise)
+    return edge & (misfit > BAD) & (near - noise < image.depth) & (image.depth < far + noise)
 
 
 def noise_in(image: Image) -> np.ndarray:

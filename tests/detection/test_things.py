@@ -330,6 +330,20 @@ def test_what_a_solid_s_edges_mix_makes_no_free_form_of_it():
     assert len(kept) == 1 and not masks
 
 
+def test_a_thing_has_what_the_edges_of_the_solids_it_replaces_mixed():
+    """Pixels at those edges were no part of a bowl, and spheres and cubes explained them beside it."""
+    image = seen_on_the_table([(MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl())])
+    seen = observe(image, CAMERA)
+    place, size = np.linalg.inv(seen.floor.pose) @ TABLE, np.array([0.06, 0.06, 0.03])
+    state = State()
+    for x in (-0.03, 0.03):
+        row = make_row(BOX, place[:3, :3], place[:3] @ [x, 0.0, 0.015, 1.0], size)
+        state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
+    _, (alone,) = take_things(observe(image, CAMERA), State(), Settings())
+    kept, (mask,) = take_things(seen, state, Settings())
+    assert len(kept) == 0 and np.array_equal(mask, alone)
+
+
 def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():
     points, label = np.zeros((4, 4, 3)), np.repeat([[0, 0, 1, 1]], 4, axis=0)
     points[:, 2:, 2] = 0.5
