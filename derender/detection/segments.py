@@ -30,17 +30,27 @@ FILLED, DEEPER = 1.5, 1.4
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
-def concave_edges(points: np.ndarray, mask: np.ndarray, normal: np.ndarray, jump: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: pixels of the mask through which a concave edge passes."""
-    found = np.zeros(mask.shape, bool)
-    for axis in range(2):
-        spans = slice(-2 * REACH), slice(REACH, -REACH), slice(2 * REACH, None)
-        before, here, after = ((slice(None),) * axis + (span,) for span in spans)
-        apart, one, other = points[after] - points[before], normal[before], normal[after]
-        near = np.square(apart).sum(axis=-1) <= (2.0 * REACH * jump[here]) ** 2
-        known = (np.square(one).sum(axis=-1) > 0.5) & (np.square(other).sum(axis=-1) > 0.5)
-        bent = ((one * other).sum(axis=-1) < CONCAVE) & (((other - one) * apart).sum(axis=-1) < 0.0)
-        found[here] |= mask[before] & mask[here] & mask[after] & near & known & bent
+@njit(cache=True, nogil=True)
+def concave_edges(points, mask, normal, jump):
+    """Return (H, W) bool: pixels of the mask through which a concave edge passes. normal : (H, W, 3), 0 for none."""
+    height, width = mask.shape
+    found = np.zeros((height, width), np.bool_)
+    for j in range(height):
+        for i in range(width):
+            for way in range(2):
+                v, u = (0, REACH) if way == 0 else (REACH, 0)
+                a, b, c, d = j - v, i - u, j + v, i + u
+                if a < 0 or b < 0 or c >= height or d >= width or not (mask[j, i] and mask[a, b] and mask[c, d]):
+                    continue
+                one, other, cosine, opens = 0.0, 0.0, 0.0, 0.0
+                for axis in range(3):
+                    before, after = normal[a, b, axis], normal[c, d, axis]
+                    one += before * before
+                    other += after * after
+                    cosine += before * after
+                    opens += (after - before) * (points[c, d, axis] - points[a, b, axis])
+                if one > 0.5 and other > 0.5 and cosine < CONCAVE and opens < 0.0:
+                    found[j, i] |= separation(points, a, b, c, d) <= (2.0 * REACH * jump[j, i]) ** 2
     return found
 
 
