@@ -96,11 +96,17 @@ def pose_in(frame, row, pose):
 @njit(cache=True, nogil=True)
 def prepared_row(image, row):
     """Return the bounds on inverse depth (PREPARED,) of a row's solid and the rectangle (4,), see `prepare_solid`."""
-    height, width = image.depth.shape
     pose, prepared, rectangle = np.empty((4, 4)), np.empty(PREPARED), np.empty(4, np.int64)
+    prepare_row(image, row, pose, prepared, rectangle)
+    return prepared, rectangle
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def prepare_row(image, row, pose, prepared, rectangle):
+    """As `prepared_row`, written into arrays; pose : (4, 4), of the solid in the camera."""
+    height, width = image.depth.shape
     pose_in(image.pose, row, pose)
     prepare_solid(int(row[KIND]), pose, row[SIZE:ROW], image.camera, width, height, prepared, rectangle)
-    return prepared, rectangle
 
 
 @njit(cache=True, nogil=True)

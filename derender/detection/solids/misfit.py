@@ -7,8 +7,9 @@ outlier, up to a constant, without the exponentials (Bolles and Fischler's score
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.image import drawn_alone, prepared_row
+from derender.detection.solids.image import drawn_alone, prepare_row
 from derender.render.blur import blur_into
+from derender.render.raycast.convex import PREPARED
 from derender.render.raycast.lane_names import (
     LANES,
     accumulate,
@@ -70,24 +71,33 @@ def added_misfit(image, row, depth, misfit):
 
 @njit(cache=True, nogil=True)
 def new_canvas(image):
-    """Return (H, P) float32 to draw a solid into, lanes beside the image included; of no use where that is blurred."""
+    """Return what a solid is drawn into: (H, P) float32, lanes beside the image included, of no use where that is
+    blurred; and what `prepare_row` writes."""
     height, width = image.depth.shape
-    return np.empty((height, width + 2 * LANES), np.float32)
+    drawn = np.empty((height, width + 2 * LANES), np.float32)
+    return drawn, np.empty((4, 4)), np.empty(PREPARED), np.empty(4, np.int64)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def added_misfit_by(image, row, depth, misfit, canvas):
     """As `added_misfit`; canvas : see `new_canvas`, what is in it does not matter."""
     if image.taps.size > 1:
-        rectangle, drawn = drawn_alone(image, row)
-        return change_by(image, rectangle, drawn, depth, misfit)
-    prepared, rectangle = prepared_row(image, row)
-    left, right, top, bottom = rectangle
+        return added_misfit_blurred(image, row, depth, misfit)
+    drawn, pose, prepared, rectangle = canvas
+    prepare_row(image, row, pose, prepared, rectangle)
+    left, right, top, bottom = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     if left >= right:
         return 0.0
-    fill(canvas, left, right, top, bottom, 0, np.float32(0))
-    raise_solid(canvas, left, right, top, bottom, 0, prepared, (left + right) // 2)
-    return change_in_lanes(image.depth, image.weight, depth, misfit, canvas, left, right, top, bottom)
+    fill(drawn, left, right, top, bottom, 0, np.float32(0))
+    raise_solid(drawn, left, right, top, bottom, 0, prepared, (left + right) // 2)
+    return change_in_lanes(image.depth, image.weight, depth, misfit, drawn, left, right, top, bottom)
+
+
+@njit(cache=True, nogil=True)
+def added_misfit_blurred(image, row, depth, misfit):
+    """As `added_misfit`, of an image with a blur."""
+    rectangle, drawn = drawn_alone(image, row)
+    return change_by(image, rectangle, drawn, depth, misfit)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)

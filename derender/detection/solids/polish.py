@@ -193,14 +193,23 @@ def polish(rng, image, start, form, cube, others, skip, depth, misfit, bottom, c
     temper : how many pixels tell as much as one independent one: what the sizes' prior is multiplied by.
     first_step : metres of the first steps; heat : temperature at the start, falling to zero (0: only downhill).
     """
-    row = start.copy()
-    canvas = new_canvas(image)
+    row, trial, scale, best = start.copy(), start.copy(), np.full(MOVES, first_step), start.copy()
+    energy, change = walk(rng, image, row, trial, scale, best, new_canvas(image), form, cube, others, skip, depth,
+                          misfit, bottom, carried, slack, tilt, temper, rounds, heat)  # fmt: skip
+    return best, energy, change
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def walk(rng, image, row, trial, scale, best, canvas, form, cube, others, skip, depth, misfit, bottom, carried, slack,
+         tilt, temper, rounds, heat):  # fmt: skip
+    """Write the best solid that `polish` finds from a row into `best`; return its energy and misfit change.
+
+    row, trial : (ROW,), changed. scale : (MOVES,) metres of the first steps, changed. canvas : see `new_canvas`.
+    """
     change = added_misfit_by(image, row, depth, misfit, canvas)
     energy = change + temper * size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
     energy += temper * tilt_energy(row, form, tilt)
-    best, best_energy, best_change = row.copy(), energy, change
-    scale = np.full(MOVES, first_step)
-    trial = np.empty(row.size)
+    best_energy, best_change = energy, change
     for k in range(rounds):
         move, possible = propose(rng, row, trial, image.origin, form, cube, tilt, scale)
         if not possible:
@@ -224,4 +233,4 @@ def polish(rng, image, start, form, cube, others, skip, depth, misfit, bottom, c
                 best_energy, best_change = energy, change
         else:
             scale[move] = max(scale[move] * 0.93, 5e-5)
-    return best, best_energy, best_change
+    return best_energy, best_change
