@@ -81,9 +81,7 @@ def chances(
     existence: dict[str, tuple[float, float]], graph: SceneGraph, told: Explanation, case: Case
 ) -> dict[str, tuple[float, float]]:
     """Return (probability, standard error) that objects are there which little shows, or which touch nothing.
-
-    existence : the same of free-form things, by what they explain. told : what the scene says of each pixel.
-    """
+    existence : the same of free-form things, by what they explain. told : what the scene says of each pixel."""
     believed, found = case.beliefs.loose.existence, {}
     for name, share in shown_shares(graph, told, case.depth, case.camera).items():
         if (there := believed.shown_by(share))[0] < SURELY:
@@ -103,12 +101,7 @@ def hanging(graph: SceneGraph, case: Case) -> list[str]:
 
 def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera: Camera) -> dict[str, float]:
     """Return for each solid but free-form things which share of the returns that it covers, but for those from other
-    solids or from what stands on it, shows it.
-
-    What fits a few pixels and is hidden by free forms or background for the rest is often a piece of these.
-
-    told : what the scene says of each pixel of a depth image (H, W).
-    """
+    solids or from what stands on it, shows it. told : what the scene says of each pixel of a depth image (H, W)."""
     from derender.render.raycast.depth import render_depth
 
     solids, found = graph.solids(), {}
@@ -133,16 +126,14 @@ def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera
 def with_absences(
     parts: list[StructurePosterior], existence: dict[str, tuple[float, float]], elsewhere: dict[str, float]
 ) -> list[StructurePosterior]:
-    """Return the structures with all of their objects, and those in which some of the likeliest one's are but clutter.
-
-    So that no structure is likelier than each of its objects. What something stands on is an object in all. Of the
-    likeliest structure alone: structures that differ in the shape of one object are the same without it, and that one
-    would be told as the likeliest, though the object is there more often than not. What the others leave is nobody's.
+    """Return the structures with all of their objects, and those in which some of the likeliest one's are but clutter,
+    so that none is likelier than each of its objects; not of others: without the object in which they differ they are
+    the same.
 
     existence : by name, (probability that it is an object, whatever else is one; standard error of that).
-    elsewhere : by name, which share of where an object should be seen it explains. A free-form thing, drawn as it is
-        seen, is an object so much less probably; of a solid it is the probability, below RATHER, that it is one that is
-        seen somewhere else; if it is not, something else is there.
+    elsewhere : by name, which share of where an object should be seen it explains. A free-form thing is an object so
+        much less probably; of a solid it is the probability, below RATHER, that it is not another one that is seen
+        elsewhere.
     """
     from derender.structures.free_forms import without_object
 
@@ -172,14 +163,11 @@ def with_absences(
 
 def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],
               missed: Missed, explained: float) -> float:  # fmt: skip
-    """Return the probability that the search has missed what is there.
-
-    That of the image as a whole, of each solid (what shows in few pixels may be something else, or two), and that
+    """Return the probability that the search has missed what is there: of the image as a whole, of each solid, or that
     another plane is the floor.
 
-    observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
-        which say in how many independent pixels each solid shows, which spots are unexplained, and whether it was
-        weighed against others at all. missed : Missed, what the prior says. explained : share of the pixels.
+    observations : one for each plane on which something stands. extras : of the likeliest structure: the independent
+        pixels of each solid, unexplained spots, whether it was weighed at all. explained : share of the pixels.
     """
     seen = observations[0]
     settled = all(each.agreed for each in observations) and not extras.get("spots")
@@ -211,9 +199,7 @@ def explanation_of(
     graph: SceneGraph, observations: list[Observation], depth: np.ndarray, camera: Camera
 ) -> Explanation:
     """Return what a scene says of each pixel of the image as it came, an Explanation.
-
-    observations : of the image, one for each plane on which something stands.
-    """
+    observations : of the image, one for each plane on which something stands."""
     from derender.results.fit import explain
 
     behind, bent, bend = np.ones(depth.shape, bool), np.zeros(depth.shape, bool), np.zeros(depth.shape)
@@ -234,10 +220,8 @@ def explanation_of(
 def likelihood_of(
     parts: list[StructurePosterior], observations: list[Observation], case: Case
 ) -> dict[str, float | str]:
-    """Return the type and the numbers of the likelihood under which the image as it came is explained.
-
-    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
-    """
+    """Return the type and the numbers of the likelihood of the image as it came: that of the draws where they were made
+    from every pixel; else one fitted to the whole image given the best scene."""
     from derender.structures.draws.sensor import too_far
 
     best = max(parts, key=lambda part: part.weight)
@@ -249,9 +233,7 @@ def likelihood_of(
 
 def observed_under(graph: SceneGraph, observations: list[Observation], case: Case) -> ObservedImage:
     """Return the image as it came under the likelihood that it suggests given a scene.
-
-    To what it shows of the scene that is fitted, not to what is known to lie behind it, or far away.
-    """
+    To what it shows of the scene that is fitted, not to what is known to lie behind it, or far away."""
     from derender.posterior.target import ObservedImage
     from derender.structures.draws.sensor import image_likelihood, too_far
 

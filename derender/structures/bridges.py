@@ -1,22 +1,17 @@
 """Second supports: a solid that rests on its parent and on others of the same height, as a bridge on two towers.
 
-The search gives each solid one parent.  Here every structure of a posterior is asked which level contacts it has
-besides the tree's, and is split in two for each: with the second support and without, weighted by a Savage-Dickey
+Every structure is split in two for each level contact besides the tree's, with it and without, by a Savage-Dickey
 ratio.  Let g be the gap between the solid's resting face and the other's top, m and s its mean and standard deviation
 over the draws, which know nothing of the contact.
 
     with the contact     p(data) ~ N(m; 0, s^2 + slack^2)
     without              p(data) ~ 1 / REACH      (any height of the other within REACH below would have done)
 
-A top that is hidden may be anywhere up to the resting face, which it cannot enter: the draws end at the gap 0, and are
-mirrored there, each widened as much as so many tell (Silverman, Density Estimation, 1986, sections 2.10 and 3.4).
+The draws of a hidden top end at the gap 0, which it cannot enter, and are mirrored there, each widened as much as so
+many tell (Silverman, Density Estimation, 1986, sections 2.10 and 3.4). The contact's prior probability, REACH, and how
+much less probable is what would tip off its parent alone, stand in the prior's file.
 
-How probable the contact is beforehand, REACH and how much less what would tip off its parent alone, says the prior.
-
-Which of several supports is the parent is told here too (`by_bearer`): the one that bears most, which may hang on
-friction. How a board that leans on a box shares its weight between the floor and the box is told by where it lies and
-by the friction of both contacts, of which the prior's file has a distribution. With draws of both, the parent is one in
-as many of them as it bears most of those that hold the solid at all: it is at rest.
+The parent is the one that bears most (`by_bearer`), in as many of the draws of place and friction as it does so.
 """
 
 import math
@@ -57,12 +52,8 @@ class Candidate(NamedTuple):
 
 
 def with_bridges(parts: Sequence[StructurePosterior], rules: Rules) -> list[StructurePosterior]:
-    """Return the structures with their second supports, weights still summing to what they did.
-
-    rules : Rules of the structures: the slack of their contacts, and what the prior says of second supports.
-
-    Two structures that differ only in which of the carriers is called the parent become one.
-    """
+    """Return the structures with their second supports, weights still summing to what they did; two that differ only in
+    which of the carriers is called the parent become one."""
     loose = (bare_image() if rules.beliefs is None else rules.beliefs).loose
     found: list[StructurePosterior] = []
     for part in sorted(parts, key=lambda part: -part.weight):
@@ -116,9 +107,7 @@ def _level(graph: SceneGraph, vertex: Vertex, other: str, within: float) -> bool
 
 def judge(scenes: list[SceneGraph], graph: SceneGraph, name: str, other: str, slack: float, loose: Loose) -> Candidate:
     """Return the candidate with its probability, by the ratio at the head of this file.
-
-    scenes : draws. graph : the best scene.
-    """
+    scenes : draws. graph : the best scene."""
     gaps = [support_residual(scene, name, other).gap for scene in scenes]
     balanced = balances(graph, name, graph.vertex(name).parent)
     with_it = density_at_none(np.array(gaps), slack)
@@ -128,10 +117,8 @@ def judge(scenes: list[SceneGraph], graph: SceneGraph, name: str, other: str, sl
 
 
 def density_at_none(gaps: np.ndarray, slack: float) -> float:
-    """Return the density, 1 / m, at no gap of that of which there are draws (N,), within a slack; metres.
-
-    See the head of this file.
-    """
+    """Return the density, 1 / m, at no gap of that of which there are draws (N,) in metres, see the head of this
+    file."""
     mean, spread = float(np.median(gaps)), float(np.std(gaps))
     if slack < spread and mean < ENDS_AT_NONE * spread and gaps.min() > -slack:
         wide = np.hypot(1.06 * spread * len(gaps) ** -0.2, slack)
@@ -153,11 +140,8 @@ def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePost
 
 
 def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior:
-    """Return the draws with the gap closed: the other's top put where the solid's resting face is.
-
-    Only where that top is a free extent of what stands on the opposite face; the densities are left as they were, for
-    the gap is within the slack and mostly hidden.
-    """
+    """Return the draws with the gap closed, where the other's top is a free extent of what stands on the opposite face;
+    the densities are left as they were, for the gap is within the slack and mostly hidden."""
     contact = part.graph.vertex(candidate.other).contact
     if contact.type != "face-to-face" or part.graph.vertex(candidate.other).shape not in ("box", "cylinder"):
         return part
@@ -211,9 +195,7 @@ class SupportResidual(NamedTuple):
 
 def support_residual(graph: SceneGraph, name: str, support: str) -> SupportResidual:
     """Return how far the vertex `name` is from resting on `support` with the feature that rests on its parent.
-
-    The support's face is the one that looks most squarely at it. A vertex that floats takes its best pair of faces.
-    """
+    The support's face is the one that looks most squarely at it. A vertex that floats takes its best pair of faces."""
     vertex = graph.vertex(name)
     poses = graph.poses()
     kind = vertex.contact.type if vertex.contact.type != "6dof" else "face-to-face"
@@ -238,9 +220,7 @@ def by_bearer(
     rng: np.random.Generator, state: State, chart: Chart, drawn: np.ndarray, friction: Distribution
 ) -> list[tuple[State, float]]:
     """Return [(State, probability)]: a state with each parent that each of its solids may have.
-
-    drawn : (n, D) draws of the chart's coordinates. friction : of one contact.
-    """
+    drawn : (n, D) draws of the chart's coordinates. friction : of one contact."""
     found = [(state, 1.0)]
     for k in range(len(state)):
         if len(bearers(state.rows, k)) > 1:

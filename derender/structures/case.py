@@ -74,12 +74,8 @@ def unit_of_lengths(case: Case) -> float:
 
 
 def settings_of(options: Options) -> Settings:
-    """Return the Settings that Options ask for; an open prior among them says what it allows.
-
-    Of a prior the search takes which shapes there are, how many objects at most, whether they may interpenetrate (no
-    term `no-overlap`) and float (a contact `6dof` and no term `no-floating`); weights and draws take its sizes. An
-    option is stricter or looser still.
-    """
+    """Return the Settings that Options ask for: of an open prior among them which shapes there are, how many objects at
+    most, whether they may interpenetrate and float; an option is stricter or looser still."""
     settings = Settings()
     prior = options.prior
     if prior is not None:

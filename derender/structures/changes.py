@@ -69,11 +69,8 @@ def changes(best: Refined, i: int) -> list[State]:
 
 
 def longer(row: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Return the rows (2, ROW) of a box that is longer along one of its sides, the face that the camera sees held.
-
-    How far it goes on behind that face may be open: then the walk from a cube stops at what the cube's edges explain.
-    floor : (4, 4) pose, floor frame to camera.
-    """
+    """Return the rows (2, ROW) of a box that is longer along one side, the face that the camera sees held: from the
+    cube no walk comes there. floor : (4, 4) pose, floor frame to camera."""
     eye = -floor[:3, :3].T @ floor[:3, 3]
     rows = np.array([row, row])
     for axis, new in enumerate(rows):
@@ -119,8 +116,7 @@ def other_shapes(best: Refined, i: int, shapes: tuple[str, ...]) -> list[Any]:
 
 
 def badly_explained(best: Refined, i: int) -> bool:
-    """Whether what solid `i` explains is off by more than noise. A search counts no pixel for more than an outlier: it
-    ended with a can where a cube is, in 106 pixels, 1,281 nats below that."""
+    """Whether what solid `i` explains is off by more than noise: a search counts no pixel for more than an outlier."""
     sensor = best.sensor
     depth, label = model_image(best.chart, best.values, sensor.camera, sensor.into, sensor.values["background"])
     shown = (label == i + 1) & np.isfinite(sensor.returned)
@@ -152,11 +148,8 @@ def stood_up(state: State, i: int, shapes: tuple[str, ...]) -> list[State]:
 
 
 def uprighted(state: State, i: int) -> State | None:
-    """Return the state in which a solid that leans a little stands, and what stands on it is level with its top.
-
-    Noise tilts what shows in few pixels, and of one that leans a walk never comes to one that stands: that has fewer
-    coordinates. None: it stands, or leans by more than LEANING.
-    """
+    """Return the state in which a solid that leans a little (LEANING, else None) stands, with what stands on it: noise
+    tilts what shows in few pixels, and no walk comes to a structure of fewer coordinates."""
     row, rotation = state.rows[i], rotation_of(state.rows[i])
     if state.forms[i] != FREE or int(row[0]) == SPHERE:
         return None
@@ -180,11 +173,8 @@ def carried_upright(state: State, i: int) -> list[int]:
 
 
 def as_two(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
-    """Return the states in which a box or a can that leans a little is two that stand on each other, boxes or cubes,
-    each below and above where half of it is: seen in few pixels, a step between the two looks like a lean.
-
-    What stands on it stands on the upper one.
-    """
+    """Return the states in which a box or a can that leans a little is two, boxes or cubes, half as high, on each
+    other, and what stands on it on the upper one: seen in few pixels, a step between the two looks like a lean."""
     state, whole = best.state, uprighted(best.state, i)
     if whole is None or pixels_of(best)[i] > FEW_PIXELS:
         return []
@@ -207,10 +197,8 @@ def as_two(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
 
 
 def still_bears(best: Refined, state: State, i: int) -> bool:
-    """Whether all that stands on solid `i` in the best is level with its top in a state too.
-
-    What is not would hang where it was, beside something higher or over something lower, which is another structure.
-    """
+    """Whether all that stands on solid `i` in the best is level with its top in a state too: it would hang
+    otherwise."""
     flags = best.chart.flags
     carried = np.flatnonzero((flags[:, PARENT] == i) & (flags[:, HELD] == 1))
     return all(support_of(state, k, i) == i for k in carried.tolist())
@@ -238,10 +226,8 @@ def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
 
 
 def reached_down(best: Refined, i: int) -> list[State]:
-    """Return the state in which a tilted box whose lower end may hide stands on the floor with it, as thick as it is.
-
-    None where it does so already, or where what it rests on high above the floor holds it.
-    """
+    """Return the state in which a tilted box whose lower end may hide stands on the floor with it, as thick as it is;
+    none where it does so already, or where what it rests on high above the floor holds it."""
     state, row = best.state, best.state.rows[i]
     low, on_floor = lowest(row), state.parents[i] == FLOOR
     if int(row[0]) != BOX or state.forms[i] != FREE or (on_floor if low < REACH else is_held(state, i)):

@@ -1,8 +1,4 @@
-"""Where solids that are detected in an image put the objects of a given scene: places at which walks begin.
-
-They decide where the search looks first, and nothing else: walks go on from there under the scene's own density, beside
-others that know nothing of them.
-"""
+"""Where detected solids put the objects of a given scene: places at which walks under the scene's own density begin."""
 
 import math
 from collections.abc import Iterator
@@ -37,8 +33,7 @@ EDGE_ON = 1e-6  # cosine between a plane and a direction from which on it runs a
 
 
 def solids_seen(target: SceneTarget, seed: int) -> SceneGraph | None:
-    """Return the scene that the search for solids finds in a target's image, of the shapes that its objects have; None
-    where it looks for none of these, or finds nothing."""
+    """Return the scene that the search for solids of its objects' shapes finds in a target's image; None: nothing."""
     from derender.detection.solids.image import KINDS
     from derender.structures.infer import infer_structure
     from derender.structures.options import Options
@@ -143,9 +138,8 @@ class Scene(NamedTuple):
 def places_of(rng: np.random.Generator, target: SceneTarget, backend: Backend, seen: SceneGraph) -> np.ndarray:
     """Return (n, P) values of a target, likeliest first, that put its objects where solids were seen; PLACES at most.
 
-    Each object is each solid of its shape in turn, from the floor up; the combinations are followed that miss the
-    solids by the least. What of a solid is hidden may be longer or shorter. An object that is none of them is drawn
-    from the prior.
+    Each object is each solid of its shape in turn, or drawn from the prior, from the floor up; the combinations are
+    followed that miss the solids by the least.
     """
     laws = {unknown.address: unknown.distribution for unknown in target.space.unknowns}
     scene = Scene(target, laws, root_of(target, laws, seen), target.graph(target.space.sample(rng)))
@@ -258,9 +252,7 @@ def at_solid(
     turned: np.ndarray,
 ) -> tuple[Vertex, float]:  # fmt: skip
     """Return an object on its parent, nearest to a solid as its prior allows, and the metres by which it is off that.
-
-    parent, pose : the parent's body and its (4, 4) pose. turned : (3, 3) the object's axes in the solid's.
-    """
+    parent, pose : the parent's body and its (4, 4) pose. turned : (3, 3) the object's axes in the solid's."""
     extents = solid.body.size()
     assert extents is not None
     size, turn = np.abs(turned).T @ extents, from_axes(turned.T)

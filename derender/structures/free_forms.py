@@ -33,9 +33,7 @@ def with_things(
     rng: np.random.Generator, parts: list[StructurePosterior], seen: Observation, state: State, believed: Things
 ) -> list[StructurePosterior]:
     """Return StructurePosteriors with free-form things among their objects.
-
-    seen : Observation. state : State of the solids that the search found. believed : of their extents.
-    """
+    seen : Observation. state : State of the solids that the search found. believed : of their extents."""
     if not seen.things:
         return parts
     names = names_of(state)
@@ -46,10 +44,8 @@ def with_things(
 def with_rivals(
     rng: np.random.Generator, parts: list[StructurePosterior], seen: Observation, state: State, settings: Settings
 ) -> list[StructurePosterior]:
-    """Return StructurePosteriors in which each thing may be a solid, and each solid on which nothing stands a thing.
-
-    What takes another's place has its name. The likeliest MOST_PARTS are told, of which the new ones are modes alone.
-    """
+    """Return StructurePosteriors in which each thing may be a solid, and each solid on which nothing stands a thing, of
+    its name and as a mode alone; the likeliest MOST_PARTS."""
     names = names_of(state)
     believed = settings.believed.loose.things
     for swap in swaps(rng, seen, state, settings):
@@ -94,11 +90,8 @@ def with_solid(part: StructurePosterior, state: State, names: list[str]) -> Stru
 
 
 class Made(NamedTuple):
-    """A free-form thing of which all is known that a graph's vertex takes.
-
-    hidden : (3,) metres, the standard deviation of a normal whose absolute value is how much farther than is seen it
-        reaches, if it does.
-    """
+    """A free-form thing of which all is known that a graph's vertex takes. hidden : (3,) metres, the standard deviation
+    of a normal whose absolute value is how much farther than is seen it reaches, if it does."""
 
     name: str  # its own
     thing: Thing
@@ -161,11 +154,9 @@ def closed_surface(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return (vertices (V, 3) in metres, the box's axes; triangles (T, 3)) of a thing, closed; None where too few show.
 
-    What is seen is joined where neighbours have no jump between them. Nothing is added before it on any ray, so drawing
-    the thing gives what was seen.
+    What is seen is joined where neighbours have no jump between them; nothing is added before it on any ray.
 
-    image : Image. mask : (H, W) bool. row : (ROW,) the bounding box, floor frame. jump : (H, W) metres between
-    neighbouring points of one surface, at most.
+    mask : (H, W) bool. row : (ROW,) the bounding box, floor frame. jump : (H, W) metres between neighbours, at most.
     """
     near, place, triangles = visible_surface(image, mask, jump)
     turn, centre, half = rotation_of(row), row[CENTRE:SIZE], 0.5 * row[SIZE:]
@@ -191,10 +182,8 @@ def closed_surface(
 
 
 def hidden_foot(vertices: np.ndarray, bottom: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return (vertices (V, 3), triangles (T, 3)) of an upright prism from a height up to the lowest of the vertices.
-
-    What stands before a thing may hide its foot; none where it shows.
-    """
+    """Return (vertices (V, 3), triangles (T, 3)) of an upright prism from a height `bottom` up to the lowest of the
+    vertices, for what stands before a thing may hide its foot; none where it shows."""
     low = float(vertices[:, 2].min())
     corners = convex_outline(np.ascontiguousarray(vertices[:, :2]))
     if low - bottom < LEAST_FOOT or corners is None:
@@ -210,10 +199,9 @@ def hidden_foot(vertices: np.ndarray, bottom: float) -> tuple[np.ndarray, np.nda
 def visible_surface(image: Image, mask: np.ndarray, jump: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (depth (V,), place (V, 2) in rows and columns, triangles (T, 3)) of what is seen of a thing.
 
-    Each pixel is a square of its own size, so that silhouettes lie where they are seen and not half a pixel within; of
-    more than MOST_VERTICES pixels those are joined to larger squares of which half or more is the thing's. Neighbours
-    without a jump share corners, whose depth is the mean of what the squares that meet there say, along their slopes.
-    Triangles are wound towards the camera.
+    Each pixel, or square of some where there are more than MOST_VERTICES, is a square of its own size. Neighbours
+    without a jump share corners, whose depth is the mean of what the squares there say, along their slopes. Triangles
+    are wound towards the camera.
     """
     step = max(1, int(np.ceil(np.sqrt(mask.sum() / MOST_VERTICES))))
     height, width = (-(-count // step) for count in mask.shape)
@@ -272,10 +260,8 @@ def direction_at(image: Image, place: np.ndarray) -> np.ndarray:
 
 
 def surface_of(image: Image, mask: np.ndarray, row: np.ndarray, jump: np.ndarray) -> tuple[str, np.ndarray, np.ndarray]:
-    """Return (text, size (3,), centre (3,) in the floor frame) of a thing's surface; the box itself where too few show.
-
-    Takes what `closed_surface` does.
-    """
+    """Return (text, size (3,), centre (3,) in the floor frame) of a `closed_surface`; the box itself where too few
+    show."""
     made = closed_surface(image, mask, row, jump)
     if made is None or not (np.ptp(made[0], axis=0) > 0).all():
         return "", row[SIZE:].copy(), row[CENTRE:SIZE].copy()

@@ -1,10 +1,8 @@
 """Inference with a given structure: from a document and an image to a posterior.
 
-Where a scene of named objects leaves structures open, combinations of parents and faces, they are found and weighed.
-The face that an object rests on is one of its own, and a symmetry of the object may carry one face into another: a cube
-on one of its faces is the cube on any other. Where nothing stands on the object and the prior is the same for both
-names, the two structures have the same images with the same densities: inference looks at one, the representative,
-and gives it the prior probability of all.
+Where faces and parents are left open, their combinations are found and weighed. Structures that a symmetry of an object
+carries into each other (a cube on one of its faces is the cube on any other), where nothing stands on it and the prior
+is the same for both, are one: the representative, with the prior probability of all.
 """
 
 import math
@@ -77,11 +75,8 @@ Progress = Callable[[float, str], None]
 
 
 def structures(prior: TreePrior, rng: np.random.Generator) -> list[SceneGraph]:
-    """Return a scene of each structure that the prior can draw.
-
-    Structures are looked for among scenes drawn without the terms, which may allow one scene in hundreds; a structure
-    counts once the terms allow a scene of it, and is given up when they have ruled out RULED_OUT of them.
-    """
+    """Return a scene of each structure that the prior can draw: of draws without the terms, which may allow one in
+    hundreds, those of which the terms allow a scene before they have ruled out RULED_OUT."""
     shown: dict[tuple, SceneGraph | None] = {}
     ruled_out: Counter[tuple] = Counter()
     drawn, wanted = 0, FIRST_DRAWS
@@ -102,9 +97,7 @@ def structures(prior: TreePrior, rng: np.random.Generator) -> list[SceneGraph]:
 
 class Candidate(NamedTuple):
     """A structure that a prior of named objects can draw, and how probable it is given the image.
-
-    sampler : with places that walks met, or None: it has no weight, or is the only one and none was asked yet.
-    """
+    sampler : with places that walks met, or None: it has no weight, or is the only one and none was asked yet."""
 
     target: SceneTarget
     sampler: MixtureSampler | None
@@ -248,12 +241,8 @@ def observed_image(image: np.ndarray, camera: Camera, likelihood: LikelihoodPrio
 
 
 def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) -> list[tuple[SceneTarget, float]]:
-    """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
-
-    Structures that say the same of the world (see `representative`) are one.
-
-    Raises DerenderError : nothing is unknown, or there are too many structures.
-    """
+    """Return a target for each structure that the prior can draw, with the log of its prior probability; see
+    `representative`. Raises DerenderError : nothing is unknown, or there are too many structures."""
     likelihood = document.likelihood or LikelihoodPrior()
     images = observed_image(image, camera, likelihood)
     prior = cast(TreePrior, document.prior)
@@ -349,11 +338,8 @@ def _walk(
     target: SceneTarget, known: MixtureSampler | None, mixed: list[Part], settings: Settings, options: Options,
     number: int, run: str, tell: Progress,
 ) -> Outcome:  # fmt: skip
-    """Return the Outcome of the chains of one structure, with checkpoints in a folder of their own where there is one.
-
-    known : the sampler with the places that walks met, or None. number : the structure's. run : fingerprint of all
-    that decides about the draws.
-    """
+    """Return the Outcome of the chains of structure `number`, with checkpoints in a folder of their own where there is
+    one. known : the sampler with the places that walks met. run : fingerprint of all that decides about the draws."""
     sampler = known or sampler_of(target, mixed, settings)
     draws, warmup, chains = settings.draws, settings.warmup, settings.chains
     place = None
@@ -387,14 +373,12 @@ def searched(
 ) -> list[MixtureSampler | None]:  # fmt: skip
     """Return the sampler of each structure with the places that walks met; None of those that were not searched.
 
-    They are looked for until the likeliest scene explains the image as well as its noise lets expect, or two searches
-    end as high, with ever more particles, and from the second on where solids are detected, too. Of three cubes that
-    float anywhere one search in two ended thousands of nats below the mode, and one that ends there rules out the
-    structure that is right.
+    Until the likeliest scene explains the image as its noise lets expect, or two searches end as high, with ever more
+    particles, and from the second on also from where solids are detected: of three cubes that float anywhere one search
+    in two ended thousands of nats below the mode.
 
-    structures : samplers without places, each with the log of the structure's prior probability. first : numbers of
-    those that are searched; of all, where none of these explains the image. tell : called with how
-    many searches are done.
+    structures : samplers without places, each with the log of its prior probability. first : numbers of those that are
+        searched first. tell : called with how many searches are done.
     """
     best: list[MixtureSampler | None] = [None] * len(structures)
     rng, highest, likeliest, done = stream(seed, SEARCHES), -math.inf, structures[first[0]][0], 0
@@ -434,10 +418,8 @@ def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: i
 def _particles(
     target: SceneTarget, mixed: list[Part], settings: Settings, seed: int, number: int, tell: Progress
 ) -> tuple[StructurePosterior, bool]:
-    """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations.
-
-    Returns also whether someone interrupted them: then of the populations that are done, or the best particle so far.
-    """
+    """Return tempered particles as chains of independent draws, one for each of `settings.chains` populations, and
+    whether someone interrupted them: then of the populations that are done, or the best particle so far."""
     populations: list[Population] = []
     with interruptible() as stop:
         for chain in range(settings.chains):

@@ -83,10 +83,7 @@ def parts_of(
 
 
 def independent_parts(rng, first, energy, pool, settings, chains, draws, only_best):
-    """Return the parts where pixels are independent: all chains for the likeliest, one for others that are likely.
-
-    first : Refined of the search's best state. energy, pool : see `weighed_structures`.
-    """
+    """Return the parts: all chains for the likeliest, one for others that are likely; see `weighed_structures`."""
     if only_best:
         return likeliest_shapes(rng, first, settings)
     made = DrawsOfOne(chains, draws, settings.until)
@@ -136,10 +133,8 @@ def likeliest_shapes(rng: np.random.Generator, first: Refined, settings: Setting
 
 
 def shown_and_left(trial: Refined) -> dict[str, list]:
-    """Return {pixels: of each solid, how many independent ones show it; spots: places of those left that are no noise}.
-
-    What neighbouring pixels share is not told from noise by its spots.
-    """
+    """Return {pixels: of each solid, how many independent ones show it; spots: places of those left that are no
+    noise}."""
     sensor, shows = trial.sensor, trial.sensor.shows
     clean = sensor.clean(trial.chart, trial.values)
     left = [] if shows < 1.0 else spots_left(clean, sensor.returned, sensor.values)
@@ -167,8 +162,7 @@ class DrawsOfOne:
 def weighed_structures(rng, first, energy, pool, settings, made=None):
     """Return (Refined, log odds, names, error) of the structures that the search met and of those near the best.
 
-    The likeliest comes first, with odds 0 and no error: those of the others are of their odds against it. A solid has
-    the same name in all.
+    The likeliest comes first, with odds 0 and no error: the others' are against it. A solid has the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
     made : DrawsOfOne, by which odds that are close are made sure; None: they are left as they are.
@@ -219,10 +213,8 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
 def one_solid_each(
     rng: np.random.Generator, best: Any, others: list[Weighed], rules: Rules, shapes: tuple[str, ...]
 ) -> tuple[Refined, list[Weighed]]:
-    """Return the likeliest and the others once each solid of it has been tried otherwise, all against the same best.
-
-    Where a change leads to a better one, all solids are tried again, ROUNDS times at most.
-    """
+    """Return the likeliest and the others once each solid of it has been tried otherwise, all against the same best:
+    where a change leads to a better one, all are tried again, ROUNDS times at most."""
     k, left, tries = 0, len(best.state), ROUNDS * len(best.state)
     while left > 0 and tries > 0:
         count = len(best.state)
@@ -244,10 +236,8 @@ def lowered(others: list[Weighed], best: Refined, higher: Refined) -> list[Weigh
 
 
 def leading(best: Refined | str, others: list[Weighed]) -> tuple[Refined | str, list[Weighed]]:
-    """Return the likeliest of the best and the Weighed of others, and the rest with odds against it.
-
-    What was weighed against another best keeps its odds, with the error of both; it shares no coordinates any more.
-    """
+    """Return the likeliest of the best and the Weighed of others, and the rest with odds against it, which share no
+    coordinates with it any more, and have the error of both."""
     leader = max(others, key=lambda each: each.odds, default=None)
     if leader is None or leader.odds <= 0.0:
         return best, others

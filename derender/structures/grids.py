@@ -1,18 +1,14 @@
 """Equal cartons: a box that may be a grid of equal cartons, stacked so closely that hardly a gap between them shows.
 
-A grid of n x m x k equal boxes fills the same space as one box but for its gaps. The two differ in three things only,
-so that every box of a structure is asked afterwards whether it is a grid:
+A grid of n x m x k equal boxes fills the same space as one box but for its gaps, and differs from it in
 
     the prior       of cartons in a grid, and of their common size against that of the one box
     the Jacobian    a length L in n equal parts has 1 / n of the density of one part
     the seams       what pixels beside them show: a ray that meets a gap of width g, at random within the pixel's step
                     along the face, is as much deeper as it takes to cross what is left of the gap
 
-Boxes that stand flush beside each other, as a seam that shows makes the search find them, are asked as one: it would be
-a chance if boxes that have nothing to do with each other did.
-
-The gap is unknown, and another one along each axis; layers rest on each other, and only sometimes do their edges leave
-a groove that shows. Where no seam can show the probability spreads over all numbers of parts that the prior has.
+Boxes that stand flush beside each other are asked as one. The gap is unknown, another one along each axis; of layers
+only some leave a groove that shows. Where no seam can show all numbers of parts are as probable as the prior has them.
 """
 
 import math
@@ -68,9 +64,7 @@ def shown(
     depth: np.ndarray, sigma: np.ndarray, camera: Camera, pose: np.ndarray, size: np.ndarray, mask: np.ndarray
 ) -> Shown:
     """Return the Shown of a box.
-
-    depth, sigma : (H, W) metres. mask : (H, W) bool, where the box is what is seen. pose : (4, 4), box to camera.
-    """
+    depth, sigma : (H, W) metres. mask : (H, W) bool, where the box is what is seen. pose : (4, 4), box to camera."""
     good = np.isfinite(depth) & shrunk(mask, RIM)
     inner = inverse(pose)
     way, origin = camera.rays()[good] @ inner[:3, :3].T, inner[:3, 3]
@@ -90,10 +84,8 @@ def shown(
 def of_faces(
     place: np.ndarray, normal: np.ndarray, deeper: np.ndarray, sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (deeper, sigma), (K,) metres, without what each face as a whole is off, and with the noise that it shows.
-
-    The box's pose and extents are not exact: a plane for each face, by least squares without what is no noise.
-    """
+    """Return (deeper, sigma), (K,) metres, without what each face as a whole is off (a plane by least squares, the
+    box's pose and extents are not exact), and with the noise that it shows."""
     deeper, sigma = deeper.copy(), sigma.copy()
     for axis in range(3):
         face = np.flatnonzero(normal == axis)
@@ -113,9 +105,7 @@ def of_faces(
 
 def seam_gain(seen: Shown, axis: int, extent: float, parts: int, widest: float) -> np.ndarray:
     """Return (len(GAPS),) nats by which seams across an axis explain a Shown better than none, by the gap.
-
-    extent : metres of the box along that axis. parts : into which it is cut. widest : metres of the widest gap.
-    """
+    extent : metres of the box along that axis. parts : into which it is cut. widest : metres of the widest gap."""
     from scipy.special import ndtr
 
     on = seen.normal != axis
@@ -159,10 +149,7 @@ class Grid(NamedTuple):
 
 def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Beliefs) -> list[StructurePosterior]:
     """Return the structures and those in which some of their boxes are grids, weights still summing to what they did.
-
-    Only boxes that stand upright on a floor with nothing on them are asked: those side by side that are flush with each
-    other as one, for cartons beside a seam that was found are no others than those beyond it.
-    """
+    Asked are upright boxes on a floor with nothing on them, those side by side that are flush as one."""
     found = []
     for part in parts:
         graph, _ = part.best()
@@ -173,9 +160,7 @@ def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Belie
 
 def bodies_of(graph: SceneGraph, groups: list[tuple[str, ...]], gap: float, flush: float) -> list[tuple[str, ...]]:
     """Return groups of names of boxes, joined where one beside another fills one box but for gaps.
-
-    gap, flush : metres between neighbours and by which their faces may be off, at most.
-    """
+    gap, flush : metres between neighbours and by which their faces may be off, at most."""
     for one, other in permutations(groups, 2):
         (_, first), (_, second), (_, both) = (hull_of(graph, each) for each in (one, other, one + other))
         beyond = both - first  # the other's own extent along one level axis, and nothing along the two others
@@ -214,10 +199,8 @@ def blocks_of(graph: SceneGraph) -> list[tuple[str, ...]]:
 
 
 def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Beliefs) -> list[Grid]:
-    """Return the Grids that a box, or some that are flush, may be; none where all are too improbable before.
-
-    The odds are against the boxes as they were found, whose seams all of the grids have.
-    """
+    """Return the Grids that a box, or some that are flush, may be, with odds against the boxes as they were found,
+    whose seams all of the grids have; none where all are too improbable before."""
     cartons, (pose, size) = beliefs.loose.cartons, hull_of(graph, names)
     before, cuts = odds_before(graph, names, cartons, beliefs, image.unit), cuts_of(graph, names)
     if max(before.values(), default=-np.inf) < LEAST_ODDS:
@@ -307,10 +290,7 @@ def lying(size: np.ndarray, cartons: Cartons) -> float:
 
 
 def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> dict[tuple[int, ...], float]:
-    """Return the log odds of each grid against one box of this size (3,).
-
-    The keys are the numbers of cartons along its axes.
-    """
+    """Return the log odds of each grid, by the numbers of cartons along its axes, against one box of this size (3,)."""
     numbers = range(1, cartons.most + 1)
     # Of a carton's extent where one of the box's is cut into so many equal parts: (3, most).
     density = np.array([[cartons.extent.log_density(float(extent) / n * unit) + np.log(unit) for n in numbers]
@@ -326,9 +306,7 @@ def divide(
     part: StructurePosterior, bodies: Sequence[tuple[Sequence[str], Sequence[Grid]]]
 ) -> list[StructurePosterior]:
     """Return a structure with its bodies, boxes or some that are flush, as found and as grids that are likely enough.
-
-    bodies : (names, Grids that it may be) of each. Of what all may be together the MOST_KEPT likeliest are told.
-    """
+    bodies : (names, Grids that it may be) of each. Of what all may be together the MOST_KEPT likeliest are told."""
     told: list[tuple[float, tuple]] = [(1.0, ())]
     for names, grids in bodies:
         odds = np.array([0.0, *(grid.odds for grid in grids)])

@@ -116,10 +116,8 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
 def completed(
     rng: np.random.Generator, case: Case, looks: "list[Look]", parts: list[StructurePosterior], interrupted: bool
 ) -> "tuple[list[StructurePosterior], list[Observation], dict[str, Any]]":
-    """Return the structures with free-form things, bridges and grids, and what stands on other planes.
-
-    Returns also the Observations, one for each plane on which something stands, and what is said of all of them.
-    """
+    """Return the structures with free-form things, bridges and grids, and what stands on other planes; the
+    Observations, one for each plane on which something stands, and what is said of all of them."""
     from derender.detection.solids.graph import without_floor
     from derender.structures.graph_posterior import parts_of
     from derender.structures.supports import further_supports, with_supports

@@ -23,8 +23,7 @@ GRADIENTS = ("exact", "finite-difference")
 
 class Frame(NamedTuple):
     """A further image of a scene: depth (H, W) metres, NaN = no return; its Camera; into (4, 4) float64, the first
-    camera's axes to its own, None: it is found.
-    """
+    camera's axes to its own, None: it is found."""
 
     depth: np.ndarray
     camera: Any

@@ -1,10 +1,6 @@
-"""Kernels compiled by a second process while the first one compiles others: half the wait at the first use.
-
-A command that infers a bare image needs late what draws from the posterior; one that infers a given scene needs the
-engine after what moves the objects. If it comes to compile anything, a process starts that compiles that, on a scene of
-a few pixels; the kernels reach the command through the cache (compilation/cache.py), which lets no two processes
-compile the same one.
-"""
+"""Kernels compiled by a second process, on a scene of a few pixels, while the first one compiles others: half the wait
+at the first use. They reach the command through the cache (compilation/cache.py), which lets no two compile the same
+one."""
 
 import functools
 import os

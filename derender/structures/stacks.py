@@ -1,12 +1,10 @@
 """Two solids, one on the other, in place of one solid or free-form thing, where the sensor's likelihood has it so.
 
 Where neighbouring pixels share noise the search asks of each solid what small ones cannot pay, and tells a stack as one
-solid or thing. Here all three are weighed as the posterior weighs them: solids by near integrals of prior times
-likelihood, a free-form surface by the likelihood of what is seen there less what its numbers cost. One solid may lean:
-two follow what leans in steps, or a sensor's bend, by 30 to 80 nats better than an upright one. Of real things, which
-are no such solids exactly, two explain more still (up to 36 nats, in ten of 45 images; of made stacks 21 to 450): a
-bottle or a book stays one, for the second has to gain what the search asks of any solid, and both have to be off the
-image no farther than INEXACT says.
+solid or thing. Here all three are weighed as the posterior weighs them; one solid may lean, for two follow what leans
+in steps by 30 to 80 nats better than an upright one. Two explain real things, which are no such solids exactly, by up
+to 36 nats more still (made stacks by 21 to 450): a bottle or a book stays one, for the second has to gain what the
+search asks of any solid, and both have to be off the image no farther than INEXACT says.
 """
 
 from collections.abc import Iterable
@@ -178,7 +176,6 @@ def parts_of_one(state: State, i: int, flush: float) -> bool:
 def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state: State, i: int,
            whole: list[np.ndarray], settings: Settings) -> list[State]:  # fmt: skip
     """Return the States in which upright solid `i`, which shows in a mask (H, W), is two, cut at some height.
-
     whole : rows of solids that explain all of it: of the lower one little may show.
     """
     heights, bottom, states = seen.points[..., 2], lowest(state.rows[i]), []

@@ -1,8 +1,7 @@
 """Scenes with supports at several heights: each plane with what stands on it has a posterior of its own.
 
-Which pixels show a plane or what stands on it is decided beforehand (`levels.py`); to each plane all others are
-background as it is seen. Given that, what stands on one tells nothing of what stands on another: the posterior of all
-is the product of theirs. A plane on which nothing is found stays background.
+Which pixels show a plane or what stands on it is decided beforehand (`levels.py`); to each all others are background.
+Given that, the posterior of all is the product of theirs. A plane on which nothing is found stays background.
 """
 
 from collections.abc import Callable
@@ -51,12 +50,11 @@ def further_supports(
 
 
 def with_supports(parts: list[StructurePosterior], seen: Observation, others: list[Any]) -> list[StructurePosterior]:
-    """Return the StructurePosteriors of all planes together, each with the product of its planes' weights.
-
-    Of many only the likeliest MOST_PARTS are told; what the others hold is theirs, so that weights sum to less then.
+    """Return the StructurePosteriors of all planes together, the likeliest MOST_PARTS, with the products of their
+    weights.
 
     parts, seen : of the main plane. others : [(parts, Observation)] of further ones. The lowest plane is unbounded, as
-    a single floor is; of the others that is there which is seen.
+        a single floor is; of the others that is there which is seen.
     """
     main = seen.floor.pose
     heights = [0.0, *(float((other.floor.pose[:3, 3] - main[:3, 3]) @ main[:3, 2]) for _, other in others)]
@@ -104,10 +102,8 @@ def renamed(part: StructurePosterior, names: Any, patch: list[float] | None) -> 
 
 
 def multiplied(part: StructurePosterior, other: StructurePosterior, weight: float) -> StructurePosterior:
-    """Return the StructurePosterior of two planes' together: draws of each, independent of the other's.
-
-    The best draws of both are one draw. What hung on the other's root, its plane first, hangs on the first one's.
-    """
+    """Return the StructurePosterior of two planes' together: draws of each, independent of the other's, the best of
+    both one draw. What hung on the other's root, its plane first, hangs on the first one's."""
     shape = max(part.log_density.shape, other.log_density.shape, key=np.prod)
     first, second = (as_one_chain(each, int(np.prod(shape))) for each in (part, other))
     order = np.arange(first.log_density.size)
@@ -145,9 +141,7 @@ def as_one_chain(part: StructurePosterior, count: int) -> StructurePosterior:
 
 def hung_anew(part: StructurePosterior, other: StructurePosterior, names: list[str]) -> np.ndarray:
     """Return (K, draws, 7) the poses of what hangs on another's root, over the root of part's draw of the same number.
-
-    part, other : of one chain each. names : of the K vertices.
-    """
+    part, other : of one chain each. names : of the K vertices."""
     found = np.empty((len(names), part.log_density.size, len(POSE)))
     for draw in range(part.log_density.size):
         poses = other.graph_at(0, draw).poses()

@@ -1,8 +1,7 @@
 """Several depth images of one scene that stands still: their candidate structures, and one posterior of them all.
 
-Each image is searched by itself. What was found in it is brought over the first one's floor, and joined to what the
-others found: a solid that one view hides another shows. The joined states are candidates as those that a search meets:
-brought to the mode, weighed and drawn from under the product of the images' likelihoods (`Sensor.views`).
+Each image is searched by itself, and what was found in it joined to what the others found over the first one's floor.
+The joined states are candidates for the posterior under the product of the images' likelihoods (`Sensor.views`).
 """
 
 import warnings
@@ -43,10 +42,8 @@ SAME, DIFFERENT = 0.01, 0.1  # share of the pixels: with fewer it is one place, 
 def averaged(
     depth: np.ndarray, camera: Camera, frames: Sequence[Frame], name: str = "the first image"
 ) -> tuple[np.ndarray, list[Frame]]:
-    """Return (depth (H, W), Frames) with images from one place averaged, each about the first of its place.
-
-    What a camera that stands still sees again tells no more than how noisy it is: errors that come again in each image,
-    a sensor's bias, stay in the mean, and inference fits its noise to the mean's own residuals.
+    """Return (depth (H, W), Frames) with images from one place averaged, each about the first of its place: they tell
+    no more than how noisy it is, and a sensor's bias stays in the mean.
 
     Raises DerenderError : images from one place do not show the same.
     """
@@ -63,10 +60,7 @@ def averaged(
 
 
 def from_one_place(one: Frame, other: Frame) -> bool:
-    """Return whether two images were taken by one camera from one place, to STILL pixels.
-
-    Where nobody says where the camera stood, images that show the same everywhere were.
-    """
+    """Return whether two images were taken by one camera from one place, to STILL pixels, as they say or else show."""
     camera = one.camera
     if one.depth.shape != other.depth.shape or abs(camera.fx - other.camera.fx) > 1e-6 * camera.fx:
         return False
@@ -130,9 +124,7 @@ class Look(NamedTuple):
 
 def look_from(first: Look, state: State, seen: Observation, frame: Frame, settings: Settings) -> Look:
     """Return the Look at another image from where its camera is said, or found, to have stood.
-
-    Raises DerenderError : the two images show different floors, or nothing stands in both.
-    """
+    Raises DerenderError : the two images show different floors, or nothing stands in both."""
     if frame.into is None:
         over = found_over(first, state, seen, settings, frame.name)
         return Look(state, seen, seen.floor.pose @ inverse(over) @ inverse(first.seen.floor.pose), over, True)
@@ -153,11 +145,9 @@ def energy_of(looks: Sequence[Look], state: State, settings: Settings) -> float:
 
 
 def joined(looks: Sequence[Look], settings: Settings) -> list[tuple[State, float]]:
-    """Return (State over the first floor, energy) of what the images show together, the best first, each once.
-
-    Each image's own state is completed by what the others found elsewhere; a solid that several have found is as that
-    one has it by which all images are explained best.
-    """
+    """Return (State over the first floor, energy) of what the images show together, the best first, each once: each
+    image's own state completed by the others', a solid that several have found as that one has it which explains all
+    best."""
     states = [moved(look.state, look.over) for look in looks]
     names = names_of(states[0])
     found: dict[tuple, tuple[State, float]] = {}
@@ -224,11 +214,10 @@ CLIPPED = 3.0  # standard deviations at which residuals are cut off: edges and o
 def with_shared_errors(rng: np.random.Generator, refined: Refined) -> Refined:
     """Return the Refined whose views count for as much as they tell beside the others, at its mode again.
 
-    A sensor's slow bias, and what real solids are off their ideal shapes, come again in each image from about the same
-    side. How much of it two images share is measured: the correlation r of their residuals at the same places of the
-    scene's surface. Of V images each of which shares r with each other the mean is as sure as that of
-    V / (1 + (V - 1) r) independent ones (the design effect of cluster samples: Kish, Survey Sampling, 1965). So image v
-    counts with the exponent 1 / (1 + sum over the others of r): a hundred images that share all count as one.
+    A sensor's bias, and what solids are off their ideal shapes, come again in each image. Of V images whose residuals
+    at the same places correlate by r the mean is as sure as that of V / (1 + (V - 1) r) independent ones (the design
+    effect of cluster samples: Kish, Survey Sampling, 1965): each counts with the exponent 1 / (1 + sum over the others
+    of r).
     """
     views = refined.sensor.views
     if len(views) == 1 or any(view.likelihood.name != "correlated" for view in views):
@@ -243,10 +232,8 @@ def with_shared_errors(rng: np.random.Generator, refined: Refined) -> Refined:
 
 
 def shared(refined: Refined) -> np.ndarray:
-    """Return (V, V) the correlation of the residuals of each two views of a Refined at the same places, 0 with itself.
-
-    Those that chance alone may make are 0.
-    """
+    """Return (V, V) the correlation of the residuals of each two views of a Refined at the same places, 0 with itself,
+    and where chance alone may make it."""
     views = refined.sensor.views
     models = [view.clean(refined.chart, refined.values) for view in views]
     residuals = [residual_of(view, model) for view, model in zip(views, models, strict=True)]
@@ -306,11 +293,7 @@ POSE_ROUNDS = 2  # in which scene and poses are improved in turn
 
 def found_over(first: "Look", state: State, seen: Observation, settings: Settings, name: str) -> np.ndarray:
     """Return (4, 4), an image's floor frame to the first one's, such that each shows what was found in the other.
-
-    first : Look. state, seen : what was found in the image, its Observation. name : of it, for a fault.
-
-    Raises DerenderError : nothing stands in both images.
-    """
+    Raises DerenderError : nothing stands in both images; `name` is the image's."""
 
     def energy(over):
         there = total_energy(seen.image, moved(first.state, inverse(over)), settings)
@@ -400,9 +383,7 @@ def improved(energy: Callable[..., Any], over: np.ndarray, value: float) -> tupl
 
 def with_poses_refined(rng: np.random.Generator, refined: Refined, found: list[bool]) -> Refined:
     """Return the Refined with the further views' poses as the depths tell them, and the scene at its mode again.
-
-    found : (V,) bool, which views' poses were found, not given: those given move only where that explains much more.
-    """
+    found : (V,) bool, which views' poses were found, not given: those given move only where that explains much more."""
     for _ in range(POSE_ROUNDS):
         first, *others = refined.sensor.views
         better = [view_moved(refined, view, 0.0 if free else WORTH_MOVING)

@@ -1,8 +1,7 @@
 """Solids that a search did not find: where the best structure leaves an image unexplained, and where nothing shows.
 
-The search asks 40 nats of a solid and sees single pixels; what shows in three of them, or faintly in many, is worth
-less to it. Here residuals and their squares are summed over windows of some pixels: of noise alone no such sum, in
-standard deviations, exceeds FAINT but once in ten images. What is proposed is weighed like any other structure.
+The search asks 40 nats of a solid and sees single pixels. Here residuals and their squares are summed over windows: of
+noise alone no such sum, in standard deviations, exceeds FAINT but once in ten images.
 """
 
 from collections.abc import Mapping
@@ -57,20 +56,15 @@ def place_of(mask: np.ndarray) -> list[float]:
 
 def nearer_than_explained(clean: np.ndarray, observed: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
     """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return.
-
-    clean, observed : (H, W) metres, of the scene without blur, and of the image, NaN where it does not show the scene.
-    numbers : of a likelihood.
-    """
+    clean, observed : (H, W) metres, of the scene without blur, and of the image. numbers : of a likelihood."""
     model = blur(clean, numbers["blur"])
     noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * model**2
     return np.clip((model - observed) / noise, -MOST_OF_ONE, MOST_OF_ONE)
 
 
 def spots_left(clean: np.ndarray, observed: np.ndarray, numbers: Mapping[str, float]) -> list[list[float]]:
-    """Return the places of what a scene leaves that is surely no noise, see `spots` and `nearer_than_explained`.
-
-    What neighbouring pixels share is not told from noise so.
-    """
+    """Return the places of what a scene leaves that is surely no noise, unless neighbouring pixels share it; see
+    `spots`."""
     found = spots(nearer_than_explained(clean, observed, numbers))
     return [place_of(spot.shown) for spot in found if spot.strength > SURELY]
 
@@ -96,9 +90,8 @@ def spots(nearer: np.ndarray) -> list[Spot]:
 
 
 def strongest(tables: np.ndarray, side: int) -> tuple[float, int, int, int]:
-    """Return (strength, side, row, column) of the square window whose sum, or sum of squares, tells most.
-
-    Squares by the cube root of their mean, which is nearly normal (Wilson and Hilferty, PNAS 1931).
+    """Return (strength, side, row, column) of the square window whose sum, or sum of squares, tells most: by the cube
+    root of their mean, which is nearly normal (Wilson and Hilferty, PNAS 1931).
 
     tables : (H + 1, W + 1, 3) summed-area tables of the numbers, of their squares, and of how many are known.
     """
@@ -112,11 +105,8 @@ def strongest(tables: np.ndarray, side: int) -> tuple[float, int, int, int]:
 
 
 def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> list[State]:
-    """Return the states of the best structure with one solid more, where it leaves something unexplained.
-
-    Others may have given way to explain what it shows, so all are to move and be integrated over. Nothing is proposed
-    where neighbouring pixels err together, for a sensor's bends look like that, nor in a reduced image: silhouettes do.
-    """
+    """Return the states of the best structure with one solid more where it leaves something unexplained; not where
+    neighbouring pixels err together, nor in a reduced image: a sensor's bends and silhouettes look like that."""
     if len(best.state) >= settings.max_objects or best.sensor.worth < 1.0 or settings.reduced:
         return []
     sensor, floor, place = best.sensor, floor_pose_of(best), [len(best.state)]
@@ -167,9 +157,8 @@ LEAST_AREA = 1e-4  # square metres of hidden floor that are worth a look
 def hidden_expected(rng: np.random.Generator, refined: Any, beliefs: Beliefs | None = None) -> float:
     """Return the expected number of solids on the floor that nothing would show, given a structure's scene.
 
-    Solids of the prior are put on the parts of the floor that what stands in front hides from the camera, no farther
-    away than floor is seen; those count whose corners all lie behind it, in the image, and that enter nothing. How
-    many there are on a square metre is what the prior says, and as this floor shows, see `rate_on_floor`.
+    Solids of the prior are put on the parts of the floor that are hidden, no farther away than floor is seen; those
+    count whose corners all lie behind what hides them, in the image, and that enter nothing; see `rate_on_floor`.
     """
     beliefs = bare_image() if beliefs is None else beliefs
     camera, floor = refined.sensor.camera, refined.chart.floor
@@ -204,10 +193,8 @@ def floor_areas(pixels: np.ndarray, depth: np.ndarray, floor: np.ndarray, camera
 
 
 def rate_on_floor(beliefs: Beliefs, count: int, area: float) -> float:
-    """Return how many solids are expected on one more square metre of a floor that shows so many on so much area.
-
-    The rate is gamma about the prior's, which is worth as many solids as the prior says, after `count` were counted.
-    """
+    """Return how many solids are expected on one more square metre of a floor that shows `count` on `area`: gamma about
+    the prior's, which is worth as many solids as the prior says."""
     prior, worth = float(np.exp(beliefs.on_floor[1] - beliefs.on_floor[0])), beliefs.loose.crowding
     return (worth + count) / (worth / prior + area)
 
@@ -234,9 +221,7 @@ def drawn_rows(rng: np.random.Generator, places: np.ndarray, beliefs: Beliefs) -
 
 def out_of_sight(rows: np.ndarray, floor: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarray:
     """Return (n,) bool: which solids lie in the image and all behind its depth (H, W), told by points of their boxes.
-
-    floor : (4, 4) pose, floor frame to camera.
-    """
+    floor : (4, 4) pose, floor frame to camera."""
     turned = rows[:, ROTATION:CENTRE].reshape(-1, 3, 3)
     points = rows[:, None, CENTRE:SIZE] + np.einsum("nij,kj->nki", turned * 0.5 * rows[:, None, SIZE:], GRID)
     points = points @ floor[:3, :3].T + floor[:3, 3]

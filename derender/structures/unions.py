@@ -1,7 +1,4 @@
-"""Structures in which two boxes are one, or their union is cut in another way, and how probable each is.
-
-Weighed as alternatives.py says, whose changes are of one solid.
-"""
+"""Structures in which two boxes are one, or their union is cut in another way; see alternatives.py."""
 
 from functools import partial
 from typing import Any
@@ -45,11 +42,8 @@ def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
     """Return the Weighed of an upright box being one with a smaller one beside it, or, but where neighbouring pixels
-    share noise, with whatever is there: a ball may stand for what a box too narrow leaves unexplained.
-
-    Beside it is also what a gap parts from it of which the image shows as good as nothing: two ends of one board
-    behind a bottle.
-    """
+    share noise, with whatever is there; or with what a gap parts from it of which the image shows as good as
+    nothing."""
     state, tasks = best.state, []
     boxes = [k for k in range(len(state)) if int(state.rows[k][0]) == BOX and state.forms[k] == UPRIGHT]
     for i in boxes:
@@ -90,11 +84,8 @@ def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules
 
 
 def recuts(rng, best, rules):
-    """Return the Weighed of two boxes that touch being cut in another way, or one and all that it touches and runs on
-    through.
-
-    Where they are flush the image does not tell the cuts apart; which solids their contacts can hold does.
-    """
+    """Return the Weighed of two boxes that touch being cut in another way, or one and all that it runs on through:
+    which of the cuts it is the image does not tell, but which solids their contacts can hold."""
     state, floor = best.state, floor_pose_of(best)
     pairs = [(i, j) for i, j in touching_pairs(state) if FREE not in (state.forms[i], state.forms[j])]
     ways = [((i,), j) for i, j in pairs]
@@ -121,10 +112,8 @@ def grown_into(state: State, cut: tuple[int, ...], j: int) -> State | None:
 
 
 def put_on(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Weighed]:
-    """Return the Weighed of a tall solid standing on a lower box beside it, which reaches under its middle, not there.
-
-    Of few noisy pixels that is one step farther or nearer below the edge between the two, which no walk takes.
-    """
+    """Return the Weighed of a tall solid standing on a lower box beside it, which reaches under its middle, not there:
+    of few noisy pixels that is one step farther or nearer below the edge between the two, which no walk takes."""
     state = best.state
     upright = [k for k in range(len(state)) if state.forms[k] == UPRIGHT and int(state.rows[k][0]) != SPHERE]
     tasks = [partial(put_one_on, best=best, i=i, j=j, rules=rules) for i in upright for j in upright

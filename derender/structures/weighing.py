@@ -59,9 +59,7 @@ SETTLING = 30  # steps of each temperature for each solid that changes, where th
 
 class Weighed(NamedTuple):
     """A structure and its odds against the best.
-
-    places : indices of the solids whose coordinates are not shared with the best, here and there; None: all are.
-    """
+    places : indices of the solids whose coordinates are not shared with the best, here and there; None: all are."""
 
     trial: Any  # Refined
     odds: float  # log
@@ -123,9 +121,7 @@ class Block:
 
 def of_block(rng: np.random.Generator, block: Block, own: Block) -> Weighed:
     """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
-
-    block : of those solids in it. own : of those of the best.
-    """
+    block : of those solids in it. own : of those of the best."""
     both = None if block.places is None or own.places is None else (block.places, own.places)
     near = Weighed(block.refined, block.near - own.near, NEAR_ERROR, both)
     if near.odds < -IMPROBABLE:
@@ -166,10 +162,9 @@ def discrete_part(state: State) -> Any:
 
 
 def made_sure(rng, best, others, drawn, rules):
-    """Return the Weighed of others with those whose odds are close weighed again, the rest drawn from the posterior:
-    at PLACES of it, at more of them where odds are OPEN, but where neighbouring pixels share noise: an integral takes
-    five times as long there. What stands on a solid that changes is integrated over with it: of its places drawn with
-    the one hardly any suits the other, and a cube was .999 for that though .88.
+    """Return the Weighed of others, those whose odds are close weighed again with the rest drawn from the posterior, at
+    more of its PLACES where odds are OPEN. What stands on a solid that changes is integrated over with it: of its
+    places drawn with the one hardly any suits the other, and a cube was .999 for that though .88.
 
     drawn : function of rng that returns (n, D) draws of the best's coordinates.
     """
@@ -223,11 +218,8 @@ def integrals(rng: np.random.Generator, best: Refined, places: tuple[int, ...], 
 
 
 def settled_at(rng: np.random.Generator, best: Refined, values: np.ndarray, places: tuple[int, ...]) -> Refined:
-    """Return a Refined with all but some solids at a draw (D,), those climbed to their mode there.
-
-    They begin where they are likelier, as drawn or as in the Refined: a walk from a lesser mode that was drawn would
-    miss most of their integral, and a ratio to it be far too great.
-    """
+    """Return a Refined with all but some solids at a draw (D,), those climbed to their mode there from where they are
+    likelier, as drawn or as in the Refined: a walk from a lesser mode would miss most of their integral."""
     if not places:
         return best._replace(values=values.copy())
     members, engine = members_of(best.chart, places), engine_of(best.chart, best.sensor)
@@ -238,11 +230,7 @@ def settled_at(rng: np.random.Generator, best: Refined, values: np.ndarray, plac
 
 
 def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]) -> Evidence:
-    """Return the Evidence over the coordinates of some solids and the blur.
-
-    What is drawn beside them was drawn with the blur open: under one blur it would speak for the structure whose own
-    that happens to be.
-    """
+    """Return the Evidence over the coordinates of some solids and the blur, with which what is held was drawn."""
     held, draws = evidence_over(rng, refined, places)
     more = over_blur(rng, refined, places, draws)
     return Evidence(held.log + more.log, math.hypot(held.standard_error, more.standard_error))
@@ -250,11 +238,8 @@ def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]
 
 def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float] | None:
     """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,); what is NOTHING beside the
-    greatest is 0, and other integrals that failed, as long as most did not, tell nothing.
-
-    Where the integral under which the rest was drawn came out as 0, which it is not, it failed: a ratio to it tells
-    nothing. None: all did.
-    """
+    greatest is 0; integrals that failed (under which the rest was drawn, or of great error) tell nothing. None: all
+    did."""
     known = logs < np.inf  # a NaN is not: 0 / 0
     logs, errors = logs[known], errors[known]
     if not len(logs):
@@ -277,9 +262,7 @@ def odds_at(
     rng: np.random.Generator, best: Refined, weighed: Any, values: np.ndarray, own: Evidence, rules: Rules
 ) -> tuple[float, float]:
     """Return (log odds, error) of a structure against the best with what they share at a draw (D,) of the best.
-
-    own : Evidence over the best's solids that differ and the blur, there.
-    """
+    own : Evidence over the best's solids that differ and the blur, there."""
     trial, (places, own_places) = weighed.trial, weighed.places
     here = best._replace(values=values.copy())
     rows, state = rows_at(best.chart, values), trial.state.copy()
@@ -300,10 +283,8 @@ def odds_at(
 
 
 def carried(row: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the row of a solid in another's place, moved, turned and grown as that was from one row to another.
-
-    Solids that touch move together: left where it was, what stands on it would lie millimetres off the image.
-    """
+    """Return the row of a solid in another's place, moved, turned and grown as that was from one row to another: left
+    where it was, what stands on it would lie millimetres off the image."""
     new = row.copy()
     new[1:10] = (rotation_of(after) @ rotation_of(before).T @ rotation_of(row)).ravel()
     new[10:13] += after[10:13] - before[10:13]
@@ -314,9 +295,7 @@ def carried(row: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarra
 
 def with_own_sensor(rng: np.random.Generator, trial: Refined, places: Any, least: float) -> Refined:
     """Return a Refined under the sensor that it suggests itself, where that explains more by at least `least` nats.
-
-    Then the solids that changed are climbed again.
-    """
+    Then the solids that changed are climbed again."""
     found = refitted(trial)
     if height(found) < height(trial) + least or not places:
         return found

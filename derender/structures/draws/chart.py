@@ -236,9 +236,7 @@ def placed(chart: Chart, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 @njit(cache=True, nogil=True, borrows=True)
 def touching_area(row, on):
     """Return the area in which an upright solid's centre may lie so that it touches the top of `on`, square metres.
-
-    That of the Minkowski sum of the two outlines: both areas and twice their mixed area.
-    """
+    That of the Minkowski sum of the two outlines: both areas and twice their mixed area."""
     a, b, c, d = row[13], row[14], on[13], on[14]
     round_one, round_other = int(row[0]) != BOX, int(on[0]) != BOX
     if int(row[0]) == SPHERE:  # it touches in a point
@@ -360,9 +358,7 @@ def log_prior(chart, rows):
 @njit(cache=True, nogil=True, borrows=True)
 def log_prior_about(chart, rows, touched):
     """Return those terms of the log prior density that change when solids do.
-
-    touched : (1 + N,) bool, whether the floor (which does not count) and each solid move.
-    """
+    touched : (1 + N,) bool, whether the floor (which does not count) and each solid move."""
     total = 0.0
     for k in range(len(rows)):
         parent = chart.flags[k, PARENT]

@@ -1,11 +1,9 @@
 """How firmly an image and the prior hold a structure's coordinates: the precision of a normal about a mode.
 
-An image J of derivatives by a coordinate is the difference of two renders half a pixel apart on either side. Inside a
-silhouette residuals are those of Gauss-Newton: J J' / sigma^2. At a depth step s of a point-sampled image they are not:
-the likelihood does not change until an edge crosses a pixel's centre, then at once. Such a pixel tells where an edge is
-to some tenth of a pixel, however great the step: its noise is taken as sqrt(sigma^2 + s^2 / SHARP).
-
-This is for steps to be made from: what a walk meets corrects it, and nothing that is drawn depends on it.
+An image J of derivatives is the difference of two renders half a pixel apart on either side. Inside a silhouette
+residuals are Gauss-Newton's: J J' / sigma^2. At a depth step s of a point-sampled image the likelihood changes only
+when an edge crosses a pixel's centre, which tells where the edge is to some tenth of a pixel: its noise is taken as
+sqrt(sigma^2 + s^2 / SHARP). This is for steps to be made from: what a walk meets corrects it.
 """
 
 import math
@@ -46,9 +44,7 @@ HAIR = 1e-5  # metres and radians, of differences of the prior's distances
 
 class Curvature:
     """What small moves do to the images.
-
-    views : Views at `values`; they are there again after each call. chart : Chart. sensor : Sensor.
-    values : (D,) coordinates of a mode.
+    views : Views at `values` (D,), the coordinates of a mode; they are there again after each call.
     """
 
     def __init__(self, views: Views, chart: Chart, sensor: Sensor, values: np.ndarray) -> None:
@@ -104,10 +100,9 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
     """Write the blurred image's derivatives by some coordinates: differences of two renders on either side.
 
     engine : EngineState at `values` (D,), as it is again afterwards. into : (4, 4), see Sensor.
-    members : (n,) int64, the coordinates. apart : (n,), how far to either side. touched : (n, 1 + N) bool, which of the
-        floor and the solids each moves.
-    weight : (H, P) float32, by which each pixel is multiplied. images : (n, H, P) float32 of zeros, padded as the
-        engine's; written.
+    members : (n,) int64, the coordinates. apart : (n,), how far to either side. touched : (n, 1 + N) bool, which solids
+        move.
+    weight : (H, P) float32 of each pixel. images : (n, H, P) float32 of zeros, padded as the engine's; written.
 
     Returns the first row in which one is not 0, and the row after the last.
     """
@@ -161,10 +156,8 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
 
 @njit(cache=True, nogil=True, borrows=True)
 def limit_at_border(change, weight, height, width):
-    """Limit a change of the image (H, P) where the picture ends, in place, to what an edge tells anywhere.
-
-    An edge that a move brings in shows in no neighbour, so that `weights` take no account of its step.
-    """
+    """Limit a change of the image (H, P) where the picture ends, in place, to what an edge tells anywhere: one that a
+    move brings in shows in no neighbour, so that `weights` take no account of its step."""
     last = PAD + width - 1
     for row in range(height):
         inner, column = 0 < row < height - 1, 0

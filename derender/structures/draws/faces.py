@@ -1,16 +1,12 @@
 """Where the faces of real solids are, given where a real sensor shows them: each is off by some millimetres.
 
-Many pixels tell where a face appears to be, far better than a real face is even, or a real sensor free of a slow bias.
-So a face is where it appears less an offset, normal with the standard deviation `faces` of the prior's file. Nothing
-else tells the offsets, so a draw of where the faces are is a draw of where they appear, by the walk, and one of the
-offsets. The floor under the solids, which nobody sees, is off in the same way from where it appears beside them. Only
-of a cube do its faces say something of each other's offsets: see `chart.apparent_cube_log_density`.
+A face is where it appears less an offset, normal with the standard deviation `faces` of the prior's file: neither is a
+real face as even as many pixels tell where it is, nor a sensor free of a slow bias. Nothing else tells the offsets, so
+a draw of where the faces are is a draw of where they appear, by the walk, and one of the offsets; the floor under the
+solids has one too. Only of a cube do its faces say something of each other's: see `chart.apparent_cube_log_density`.
+The height of what stands on something is off by the standard deviation `resting`.
 
-What stands on something, its contact exact, sinks into it by some hundredths of a millimetre, or stands over it: its
-height is from there, by an offset with the standard deviation `resting`.
-
-A face that looks away from the camera is told by the silhouette alone. There sensors lose returns, on the solid's side
-and on that of what is behind it; pixels without one say nothing, so that draws have the silhouette anywhere among them.
+A face that looks away from the camera is told by the silhouette alone, which sensors' lost returns leave open.
 """
 
 from itertools import product
@@ -44,11 +40,8 @@ BORDER = 2.0  # pixels along the image's border that do not tell: a prior that w
 
 
 def at_median_unseen(refined: "Refined", best: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """Return the coordinates (D,) of the best scene, faces that do not show as far as the median of draws has them: of
-    upright boxes, the faces that are seen staying where they are.
-
-    best : (D,). drawn : (n, D). A median that is nearer than the best's changes nothing: that would be seen.
-    """
+    """Return the coordinates (D,) of the best scene (D,), hidden faces of upright boxes as far as the median of draws
+    (n, D) has them, if farther, those that are seen staying where they are."""
     chart, found = refined.chart, best.copy()
     rows = rows_at(chart, best)
     boxes = (chart.flags[:, KIND] == BOX) & (chart.flags[:, EQUAL] == 0) & (chart.flags[:, VERTICAL] == 1)
@@ -91,9 +84,7 @@ def rim_shows(refined: "Refined", row: np.ndarray, axis: int, sign: float) -> bo
 
 def true_faces(rng: np.random.Generator | None, chart: Chart, values: np.ndarray) -> np.ndarray:
     """Return coordinates (n, D) with the faces where they are, of some (n, D) with the faces where they appear.
-
-    What is held to its support stays on it. rng : of the offsets; None: the most probable ones.
-    """
+    What is held to its support stays on it. rng : of the offsets; None: the most probable ones."""
     if rng is None and chart.faces == 0.0:
         return values
     values, many = values.copy(), len(values)

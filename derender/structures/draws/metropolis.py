@@ -7,9 +7,8 @@ so the log acceptance ratio is
 
 Others are made from a normal that resembles the posterior (preconditioned Crank-Nicolson): where u = P (q - center) are
 standard normal under it, given the coordinates that stay, u' = sqrt(1 - scale^2) u + scale z and q' = q + F (u' - u).
-They leave that normal as it is, so the ratio has |u'|^2 / 2 - |u|^2 / 2 besides: at scale 1 all of q's block is drawn
-anew, and always taken up were the posterior that normal. Scales, factors and centers are learnt in the warm-up and
-fixed afterwards.
+They leave that normal as it is, so the ratio has |u'|^2 / 2 - |u|^2 / 2 besides. Scales, factors and centers are learnt
+in the warm-up and fixed afterwards.
 """
 
 import itertools
@@ -190,9 +189,7 @@ def take_moved(touched, poses, sizes, indices):
 @njit(cache=True, nogil=True)
 def evaluate(views, chart, batch, touched, densities):
     """Write the log prior and the log likelihood of coordinates (m, D) into densities (m, 2).
-
-    touched : (1 + N,) bool, which of the floor and the solids are elsewhere than in `views`.
-    """
+    touched : (1 + N,) bool, which of the floor and the solids are elsewhere than in `views`."""
     count = len(chart.flags)
     rows, indices = np.empty((count, ROW)), np.empty(count + 1, np.int64)
     poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
@@ -224,11 +221,8 @@ def likelihood_without(views: Views, chart: Chart, values: np.ndarray, k: int) -
 
 
 def engine_of(chart: Chart, sensor: Sensor) -> Views:
-    """Return the Views of a chart's solids under a Sensor (sensor.py), none of them drawn yet.
-
-    The floor counts as seen in all of the image, so the first proposal draws and scores every pixel, and `load_state`,
-    which costs as long to compile as all else, is not needed.
-    """
+    """Return the Views of a chart's solids under a Sensor, none drawn yet: the floor counts as seen in all of the
+    image, so that the first proposal draws every pixel, and `load_state`, which is dear to compile, is not needed."""
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     count = len(kinds)
     solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
@@ -250,9 +244,7 @@ class Draws(NamedTuple):
 
 class Walker(NamedTuple):
     """Where a walk is: Views of a Chart's solids, coordinates (D,), and (2,) log prior and log likelihood there.
-
-    A walk changes all but the Chart in place.
-    """
+    A walk changes all but the Chart in place."""
 
     engine: Views
     chart: Chart
@@ -283,8 +275,7 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
            least: float = -np.inf) -> tuple[np.ndarray, float, float]:  # fmt: skip
     """Return the best place (D,) found from `values`, which is changed, and its log prior and log likelihood.
 
-    The likelihood is let in by and by, then weighs more and more, so that the walk comes to rest at the mode: there
-    solids move together as a normal about the place says that has been reached (`curvature.py`).
+    The likelihood is let in by and by, then weighs more and more, so that the walk comes to rest at the mode.
 
     only : coordinates that may move, None for all. temperatures : below 1, of the likelihood. steps : at each.
     least : log density that an end has to have: a walk that comes less than halfway there at a temperature ends.
@@ -322,13 +313,12 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
            agreed: Callable[[list[Draws]], bool] = lambda drawn: True) -> list[Draws]:  # fmt: skip
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
-    The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
-    all chains have met; at the beginning, with a likelihood that counts less, they go where they like, but for a single
-    one, which none would tell that it has left its mode for a worse one. Draws about what the image does not hold are
-    twice as far apart, and where the chains do not agree they go on for as long again, unless they are far from it.
+    The steps' covariance is that of a normal about `values` (`curvature.py`), and later of what all chains have met; at
+    first several walk under a tempered likelihood. Draws about what the image does not hold are twice as far apart, and
+    chains that do not agree go on for as long again, unless they are far from it.
 
-    only : coordinates that may move, None for all. open_blur : whether the draws are of the blur too, of which there is
-        one for each view: some sides lie where they do only under one blur. Then a draw's density is under its own.
+    only : coordinates that may move, None for all. open_blur : whether each view's blur is drawn too; a draw's density
+        is under its own then.
     until : time.monotonic() by which chains that do not agree have gone on; None: while it is worth it. rounds : of the
         warm-up, other than ROUNDS. agreed : whether chains do, by their Draws.
     """
@@ -378,9 +368,7 @@ def final_draws(
     rng: np.random.Generator, walkers: list[Walker], steps: Proposals, count: int, thin: int, sensor: Sensor, blurs: Any
 ) -> list[Draws]:
     """Return the Draws of Walkers, `thin` steps apart, their steps as they are.
-
-    blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
-    """
+    blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds."""
     pieces: list[list[Draws]] = []
     proposals = [steps] * len(walkers)
     ways = blurrings(walkers[0].engine, sensor, blurs)
@@ -462,9 +450,7 @@ def spread_of(met: np.ndarray, factor: np.ndarray) -> np.ndarray:
 def stretch(rng: np.random.Generator, walkers: list[Walker], steps: Proposals, temperature: float, gain: float,
             count: int, thin: int) -> tuple[Proposals, list[Draws]]:  # fmt: skip
     """Let Walkers take steps beside each other; return the steps as they came to be, and Draws.
-
-    The scales are the geometric means of those to which each walker's adapted.
-    """
+    The scales are the geometric means of those to which each walker's adapted."""
     proposals = [steps._replace(scale=steps.scale.copy()) for _ in walkers]
     drawn = side_by_side(rng, walkers, proposals, temperature, gain, count, thin)
     return steps._replace(scale=mean_scale([own.scale for own in proposals])), drawn
@@ -483,9 +469,8 @@ def log_evidence(rng: np.random.Generator, chart: Chart, sensor: Sensor, values:
                  members: list[int], shown: int | None = None) -> Evidence:  # fmt: skip
     """Return the Evidence of the density over coordinates `members`, from draws (n, D) of it: see sampling.evidence.
 
-    values : (D,) where the other coordinates are held. shown : a solid whose coordinates the members are: the integral
-    is where it shows. Outside the image and behind others it may be anywhere, and has no end: of a solid in three
-    pixels it was e^12 times too great.
+    values : (D,) where the other coordinates are held. shown : the solid whose coordinates the members are, which has
+        to show: outside the image and behind others it may be anywhere, and the integral has no end.
     """
     engine, touched = engine_of(chart, sensor), touched_by(chart, members)
     without = np.nan if shown is None else likelihood_without(engine, chart, values, shown)

@@ -28,12 +28,10 @@ NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
 def contact_numbers(
     chart: Chart, draws: np.ndarray, parents: np.ndarray, codes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what each draw (D,) of (n, D) means as contacts.
+    """Return phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64 of draws (n, D) as contacts.
 
-    parents : (N,) int64: index of a solid, FLOOR (-1) or NO_PARENT. codes : (N, 3) int64: contact, parent's face,
-        child's face.
-
-    Returns phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64.
+    parents : (N,) int64: index of a solid, FLOOR (-1) or NO_PARENT. codes : (N, 3) int64: contact, parent's and child's
+        face.
     """
     count, total = len(chart.flags), len(draws)
     phi, sizes = np.zeros((total, count, SLOTS)), np.zeros((total, 1 + count, 3))
@@ -47,9 +45,7 @@ def contact_numbers(
 @njit(cache=True, nogil=True)
 def write_contacts(chart, draws, parents, codes, kinds, inverse_at, phi, sizes, poses):
     """Write what each draw (D,) of (n, D) means as contacts, see `contact_numbers`; the floor is solid 0 of 1 + N.
-
-    parents : (N,) int64. kinds : (1 + N,) int64. inverse_at : the address of `invert`. sizes : of zeros.
-    """
+    parents : (N,) int64. kinds : (1 + N,) int64. inverse_at : the address of `invert`. sizes : of zeros."""
     count = len(kinds) - 1
     rows, extents, relative = np.empty((count, ROW)), np.empty((count + 1, 3)), np.zeros((4, 4))
     relative[3, 3] = 1.0
@@ -72,9 +68,7 @@ def write_contacts(chart, draws, parents, codes, kinds, inverse_at, phi, sizes, 
 
 def numbers_of_draws(chart, draws, graph, names):
     """Return (addresses, values (n, P), root poses (n, 4, 4)) of draws (n, D) of the graph's structure.
-
-    names : of the solids in the chart's order. Numbers that the graph's contacts leave out (slack) are left out, and
-        how a cylinder that stands or a sphere is turned about itself: nothing tells.
+    names : of the solids in the chart's order. Slack, and how a standing cylinder or a sphere is turned, are left out.
     """
     count = len(names)
     parents, codes = np.empty(count, np.int64), np.empty((count, 3), np.int64)
@@ -102,9 +96,7 @@ def numbers_of_draws(chart, draws, graph, names):
 
 def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
     """Return the log density of a scene of boxes, cubes, cylinders and spheres over one floor.
-
-    Raises DerenderError : there is no floor, or more than one, or a solid of another kind.
-    """
+    Raises DerenderError : there is no floor, or more than one, or a solid of another kind."""
     state, floor_pose = state_of(graph)
     chart, values = make_chart(state, floor_pose, Rules(bare_image().loose.slack) if rules is None else rules)
     return float(log_prior(chart, rows_at(chart, values)))

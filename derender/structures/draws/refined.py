@@ -1,8 +1,6 @@
-"""From the search's best state to draws under the likelihood that the image itself suggests.
-
-The search scores edges pixel by pixel without blur and cuts misfits off; here the sensor's noise, blur and outliers
-are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (metropolis.py).
-"""
+"""From the search's best state to draws under the likelihood that the image itself suggests: the sensor's noise, blur
+and outliers are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from
+(metropolis.py)."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -76,9 +74,7 @@ def at_mode(rng: np.random.Generator, state: State, floor_pose: np.ndarray, sens
             steps: int = ANNEALING, only: list[int] | None = None,
             temperatures: tuple[float, ...] = TEMPERATURES, least: float = -np.inf) -> Refined:  # fmt: skip
     """Return the Refined of a state, annealed under a sensor model.
-
-    only : indices of the solids that may move (and the coordinates given by their own), None for all. least : see
-    `ascend`.
+    only : indices of the solids that may move, None for all. least : see `ascend`.
     """
     chart, values = make_chart(state, floor_pose, rules)
     if only is not None:
@@ -99,10 +95,8 @@ def climb(rng: np.random.Generator, state: State, chart: Chart, values: np.ndarr
 
 def best_climb(rng: np.random.Generator, state: State, chart: Chart, values: np.ndarray, sensor: Sensor,
                tries: int = THREADS) -> Refined:  # fmt: skip
-    """As `climb`, the best of some walks: one alone may end beside the mode.
-
-    A single one is not heated: on 48 searches of made images a hot walk ended .7 nats lower, and took a fifth longer.
-    """
+    """As `climb`, the best of some walks: one alone may end beside the mode. A single one is not heated: it ends no
+    higher."""
     task = partial(climb, state=state, chart=chart, sensor=sensor, steps=ANNEALING,
                    temperatures=TEMPERATURES if tries > 1 else ())  # fmt: skip
     ends = in_threads(rng, [partial(task, values=values.copy()) for _ in range(tries)])
@@ -132,9 +126,7 @@ class View(NamedTuple):
 
 def view_of(seen: Any) -> View:
     """Return the View of an Observation.
-
-    Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`).
-    """
+    Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`)."""
     camera = seen.single_camera
     observed, whole = seen.single, seen.whole  # what all pixels of a block say is bent where an edge runs through it
     there = partial(of_whole_image, seen=seen, shape=observed.shape)
@@ -152,11 +144,8 @@ def view_of(seen: Any) -> View:
 
 
 def with_out_of_reach(observed: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Return an image (H, W) that shows, beside what it shows, that nothing stands before what the sensor cannot reach.
-
-    Where even the floor is farther than it sees nothing returns, and a solid would: else how far one goes on there
-    would be open. floor : (H, W) metres to the floor, inf where it is not met.
-    """
+    """Return an image (H, W) that shows besides that nothing stands before what the sensor cannot reach, where even the
+    floor is farther than it sees: a solid would return. floor : (H, W) metres to the floor, inf where it is not met."""
     if not (observed > 0.0).any():
         return observed
     reach = float(np.quantile(np.abs(observed[np.isfinite(observed)]), REACHED))
@@ -174,9 +163,7 @@ def background_share(seen: Any) -> float:
 def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, state: State, rules: Rules,
            tries: int = THREADS) -> Refined:  # fmt: skip
     """Return the Refined of the search's best state, the sensor fitted on the way.
-
-    views : of the images, one or more. floor_pose : (4, 4), floor frame to the first camera. tries : see
-    greedy.Settings.
+    floor_pose : (4, 4), floor frame to the first view's camera. tries : see greedy.Settings.
     """
     chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
@@ -200,11 +187,8 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
 
 
 def sharpened(rng: np.random.Generator, refined: Refined, views: list[View]) -> Refined:
-    """Return the Refined with single pixels of whole images as they were without the blur.
-
-    How much leaked into each from others a scene tells that explains the whole images to a pixel: so it is climbed
-    under these first. Of one that is a pixel off, every fifth pixel beside a jump had a leak that it does not have.
-    """
+    """Return the Refined with single pixels of whole images as they were without the blur. How much leaked into each
+    from others a scene tells that explains the whole images to a pixel: so it is climbed under these first."""
     if all(view.whole is None for view in views):
         return refined
     state, chart, views_of = refined.state, refined.chart, refined.sensor.views
@@ -230,11 +214,8 @@ def sharpened(rng: np.random.Generator, refined: Refined, views: list[View]) -> 
 
 
 def without_unseen(state: State, refined: Refined) -> State:
-    """Return the state less the solids that carry nothing and of which no used pixel sees anything, or that are no
-    higher than a real floor is uneven.
-
-    The search explains far pixels too, which the sensor model leaves out; nothing would hold such solids in place.
-    """
+    """Return the state less the solids that carry nothing and of which no used pixel sees anything (the search explains
+    far pixels too), or that are no higher than a real floor is uneven."""
     pixels, uneven = pixels_of(refined), UNEVEN * refined.chart.faces
     for k in reversed(range(len(state))):
         if (not pixels[k] or highest(refined.state.rows[k]) < uneven) and k not in state.parents:
@@ -255,11 +236,10 @@ def pixels_of(refined: Refined) -> np.ndarray:
 
 def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     """Return the Refined at its mode under the sensor model that its present state suggests, or as it is where that is
-    higher: noise is fitted by quantiles of the residuals, and came out 360 nats lower once.
+    higher.
 
-    Solids that were fitted under a wrong blur suggest just that, and outliers beside them. Where there are more than
-    the fewest, one that is FARTHER to either side is tried with the solids following it: before the horizon of a floor
-    half a pixel explained 2,600 nats more than a quarter.
+    Solids that were fitted under a wrong blur suggest just that, and outliers beside them: where there are more than
+    the fewest, one that is FARTHER to either side is tried with the solids following it.
     """
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
     found = climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
@@ -280,9 +260,7 @@ def changes_blur(sensor: Sensor) -> bool:
 
 def at_its_blur(rng: np.random.Generator, refined: Refined, members: list[int] | None) -> Refined:
     """Return the Refined climbed along the blur and these coordinates (None: all) together, where they give way to each
-    other: a hundredth of a pixel more blur makes a solid of 35 pixels a third of a millimetre larger, so that to refit
-    one with the other held ended 12 nats below both. Of one view whose pixels are independent.
-    """
+    other: to refit one with the other held ended 12 nats below both. Of one view whose pixels are independent."""
     step = LONGEST_BLUR_STEP if changes_blur(refined.sensor) else 0.0
     while step > LEAST_BLUR_STEP:
         wanted, held = refitted(refined).sensor, refined.sensor.values["blur"]
@@ -308,10 +286,8 @@ def chains_of(
 
 
 def agreed(refined: Refined, chains: list[Draws]) -> bool:
-    """Whether chains of enough draws to tell agree about all numbers that are told of them, as they are judged then.
-
-    Coordinates that agree are not enough: of a few draws a number that several of them make may have R-hat 1.14.
-    """
+    """Whether chains of enough draws to tell agree about all numbers that are told of them, not about coordinates
+    alone."""
     if len(chains) == 1 or len(chains[0].values) < FEW:
         return True
     told = structure_posterior(np.random.default_rng(0), refined, names_of(refined.state), 1.0, chains)
@@ -390,11 +366,10 @@ def height(refined: Refined) -> float:
 
 def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...], draws: np.ndarray) -> Evidence:
     """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
-    over these coordinates alone: what an integral under one blur misses, of blurs that are not known.
+    over these coordinates alone: what an integral under one blur misses.
 
     Solids give way to a blur, so both are integrated together: a sum over blurs at each point of a t distribution that
-    is fitted to draws (n, D) of these coordinates under the one blur. How noisy the image is takes about the same from
-    every structure (1 / sqrt(2 pixels) is narrow).
+    is fitted to draws (n, D) of these coordinates under the one blur. Noise takes about the same from every structure.
     """
     chart, sensor, values = refined.chart, refined.sensor, refined.values
     members = members_of(chart, solids)
@@ -431,11 +406,9 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
 
 
 def near_evidence(refined: Refined, solids: tuple[int, ...] | None = None) -> float:
-    """Return about what the integral over these coordinates is, at a tenth of its cost; of all where `solids` is None.
-
-    The normal stands for the density that has its height at the mode and the image's curvature there: right to two
-    nats where all sides are seen, to five or so where some are not.
-    """
+    """Return about what the integral over these coordinates (None: all) is, at a tenth of its cost: that of a normal
+    with the image's curvature at the mode, right to two nats where all sides are seen, to five or so where some are
+    not."""
     chart = refined.chart
     height = refined.log_prior + refined.log_likelihood
     members = range(len(refined.values)) if solids is None else members_of(chart, solids)

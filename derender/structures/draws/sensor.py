@@ -104,9 +104,7 @@ class Sensor(NamedTuple):
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
         """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
-
-        without : names of those that do not count.
-        """
+        without : names of those that do not count."""
         return sum(log_prior_of(view.prior, {k: v for k, v in view.values.items() if k not in without})
                    for view in self.views)  # fmt: skip
 
@@ -119,9 +117,7 @@ def model_image(
     chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None, wall: float = BACKGROUND
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the clean depth (H, W) of a chart's solids, with the wall behind, and label (H, W): 1 + k for solid k.
-
-    into : (4, 4), the scene's axes to this camera's; None: they are the same. wall : how far away that is.
-    """
+    into : (4, 4), the scene's axes to this camera's; None: they are the same. wall : how far away that is."""
     _, poses, sizes = placed(chart, values)
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     poses = poses if into is None else into @ poses
@@ -151,11 +147,8 @@ def too_far(observed: np.ndarray) -> np.ndarray:
 
 
 def cut_off(observed: np.ndarray, scene: np.ndarray) -> np.ndarray:
-    """Return an image (H, W) of which what is too far is below zero, as what is no part of the scene.
-
-    What a scene (H, W) explains is as far as that: of a row of pixels at the limit noise would leave the nearer ones,
-    and tilt the floor.
-    """
+    """Return an image (H, W) of which what is too far is below zero, as what is no part of the scene; what a scene (H,
+    W) explains is as far as that, lest noise leave the nearer ones of a row of pixels at the limit."""
     depth = np.where(np.abs(observed - scene) < NEARLY * scene, scene, observed)
     limit = FAR_AWAY * np.nanmedian(np.abs(observed))
     return np.where(depth > limit, -limit, observed)
@@ -181,9 +174,7 @@ def first_sensor(
     wall: float | None = None,
 ) -> Sensor:
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor.
-
-    wall : how far away what lies behind everything is seen, see `Observation`; None: it is not.
-    """
+    wall : how far away what lies behind everything is seen, see `Observation`; None: it is not."""
     into = np.eye(4) if into is None else into
     held = {**behind_all(wall), **(NONE if shares_noise(prior) else held_by(prior))}
     clean = model_depth(chart, values, camera, into, held["background"])
@@ -210,8 +201,7 @@ def under_shared_noise(sensor: Sensor, clean: np.ndarray, rounds: int | None) ->
     """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) best.
 
     What its prior gives as a number holds. What neighbours share is sought by a simplex search of so many `rounds`;
-    with 0 surfaces go on otherwise by as much as they are seen to, and None leaves all that as it is. Noise and
-    outliers are sought then: of pixels that go on, how far they are off the surface tells nothing of either.
+    with 0 surfaces go on otherwise by as much as they are seen to, and None leaves all that as it is.
     """
     held = held_by(sensor.prior)
     begin = {name: value.quantile(0.5) for name, value in sensor.prior.free.items()}
@@ -234,9 +224,7 @@ def under_shared_noise(sensor: Sensor, clean: np.ndarray, rounds: int | None) ->
 
 def better_blur(at: float, density: Callable[[float], float]) -> float:
     """Return the blur in pixels to which STEPS to either side of one lead, while they explain an image better.
-
-    density : the image's, of a blur. Where a step to one side was better, on the other lies what was there before.
-    """
+    density : the image's, of a blur. Where a step to one side was better, on the other lies what was there before."""
     height = density(at)
     for step in STEPS:
         ways: tuple[float, ...] = (-step, step)
@@ -260,8 +248,7 @@ def robust_fit(
 ) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers) of a robust likelihood with a blur of so many pixels, the noise fitted.
 
-    The density is that of the depths where something returned; whether it did says nothing here: pixels are lost at
-    edges and elsewhere at one rate, the image's own.
+    The density is that of the depths where something returned: pixels are lost at edges and elsewhere at one rate.
     rates : of outliers, the best of which is taken. every : look at each `every`-th pixel of each `every`-th row.
     held : numbers that are known, whatever is asked. believed : what is believed of them, which counts too.
     """
@@ -299,11 +286,8 @@ def density_by_blur(
     observed: np.ndarray, clean: np.ndarray, numbers: Mapping[str, float], every: int = 1,
     believed: LikelihoodPrior | None = None,
 ) -> Callable[[float], float]:  # fmt: skip
-    """Return the log density of a robust likelihood as a function of its blur, its other numbers as they are.
-
-    It is what blurs near each other are compared by, at a fifth of the work of `robust_fit`: most pixels lie on flat
-    surfaces and tell the noise whatever the blur.
-    """
+    """Return the log density of a robust likelihood as a function of its blur, its other numbers as they are: what near
+    blurs are compared by, at a fifth of the work of `robust_fit`."""
     known = shown(observed)[::every, ::every]
     seen = np.isfinite(known)
     told = known[seen]
@@ -348,10 +332,8 @@ def best_fit(
     prior: LikelihoodPrior | None = None,
     wall: float = BACKGROUND,
 ) -> tuple[float, str, dict[str, float]]:
-    """Return (log density, name, numbers): the blur near the best of `blurs`.
-
-    Without outliers only where the prior says so. Where the image shows none a gaussian likelihood fits as well, but a
-    structure that leaves one out of an edge has outliers, and the two were weighed under different likelihoods.
+    """Return (log density, name, numbers): the blur near the best of `blurs`, with outliers unless the prior says
+    otherwise.
 
     rates : of outliers, the first while the blur is sought. steps : pixels by which the blur is then improved.
     prior : see Sensor: its numbers hold, and gaussian noise that it says is gaussian. wall : behind the clean depth.
@@ -392,9 +374,7 @@ def whole_sensor(
 
 def without_blur(sensor: Sensor, whole: Sensor, depth: np.ndarray, chart: Chart, values: np.ndarray) -> Sensor:
     """Return the Sensor of one view whose pixels, single ones of a whole image, are as they were without its blur.
-
-    whole : the `whole_sensor` given the scene at coordinates (D,). depth : (H, W) metres, what it shows, all of it.
-    """
+    whole : the `whole_sensor` given the scene at coordinates (D,). depth : (H, W) metres, what it shows, all of it."""
     scene, told = whole.clean(chart, values), whole.values
     noise = told["sigma"] + told.get("sigma_growth", 0.0) * scene**2
     single = single_pixels(unmixed_by(scene, depth, told["blur"], noise), whole.camera.width // sensor.camera.width)
@@ -446,9 +426,7 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
 
 def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
     """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open.
-
-    One that is known is the only one.
-    """
+    One that is known is the only one."""
     at, known = sensor.values["blur"], held_by(sensor.prior)
     if "blur" in known:
         return np.array([at])
@@ -476,9 +454,7 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
 def image_likelihood(
     camera: Camera, observed: np.ndarray, solids: Solids, prior: Any = None, wall: float | None = None
 ) -> tuple[str, dict[str, float]]:
-    """Return (name, numbers) of the likelihood that a whole image suggests, given a scene.
-
-    What inference looked at may be reduced, and cut where it is far away; this is of the image as it came.
+    """Return (name, numbers) of the likelihood that a whole image suggests as it came, given a scene.
     observed : (H, W) metres, NaN where nothing returned. prior, wall : see `first_sensor`.
     """
     held = behind_all(wall) | held_by(prior)

@@ -1,9 +1,8 @@
 """Steps that a walk through a structure's coordinates may take: which move together, in which direction, how far.
 
 One column for the steps in which a depth image is informative (`directions`), and for those that move a side which the
-camera is behind; Cholesky factors of a covariance for one solid, for a support with all that it carries, and for the
-floor, each given the coordinates that stay. In a stack an image tells where each top is, not how high each solid: what
-moves one top leaves those above where they are (`tops_of`).
+camera is behind; Cholesky factors of a covariance for one solid, a support with all that it carries, and the floor,
+each given the coordinates that stay. What moves one top of a stack leaves those above where they are (`tops_of`).
 """
 
 import math
@@ -22,9 +21,8 @@ HELD_CORNERS = [np.array(list(np.ndindex(*[2] * count))) - 0.5 for count in rang
 
 
 def directions(chart: Chart, count: int, solids: list[int] | None = None) -> np.ndarray:
-    """Return (M, D) steps in which a depth image is informative, for a vector of `count` coordinates, in metres.
-
-    Those of some solids only, or of all (None).
+    """Return (M, D) steps in which a depth image is informative, of some solids or all, of `count` coordinates, in
+    metres.
 
     Each face moved while the opposite one stays, shifts, turns about the centre and about the four corners of the
     ground plan, edges of a cube scaled about a corner.
@@ -66,10 +64,8 @@ UNSEEN_WEIGHT, UNSEEN_SHARE = 0.15, 0.75  # weight of each such side, and of all
 
 
 class Proposals(NamedTuple):
-    """Steps to choose from. M of them.
-
-    table : (4, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns, begin of its pull or -1.
-    """
+    """Steps to choose from. M of them. table : (4, M + 1) int64: begin of its coordinates, begin of its matrix, number
+    of columns, begin of its pull or -1."""
 
     table: np.ndarray
     members: np.ndarray  # flat int64, coordinates
@@ -144,11 +140,8 @@ def blocks_of(chart: Chart) -> list[list[int]]:
 
 
 def tops_of(chart: Chart) -> np.ndarray:
-    """Return the (D, D) matrix that makes of coordinates those with heights of tops in place of heights of solids.
-
-    Of solids whose height is a number of its own and that are held to their support; where that is none itself, its
-    top counts as the height that they stand at.
-    """
+    """Return the (D, D) matrix that makes of coordinates those with heights of tops in place of heights of solids, for
+    solids whose height is a number of its own and that are held to their support."""
     tops = np.eye(size_of(chart))
     for slot, flag in zip(chart.slots, chart.flags, strict=True):
         below = flag[PARENT]
@@ -160,9 +153,7 @@ def tops_of(chart: Chart) -> np.ndarray:
 
 class Step(NamedTuple):
     """One of the Proposals: members (D_p,) and matrix (D_p, R_p); touched, weight, scale and wanted as there.
-
-    pull : (R_p, D) and center (D,), or None: what makes of coordinates the R_p standard normal numbers that the matrix
-        makes steps from, for a walk that is drawn to where these are expected, see `metropolis.walk`.
+    pull : (R_p, D) and center (D,), or None: see `metropolis.py` and Proposals.
     """
 
     members: np.ndarray
@@ -177,9 +168,7 @@ class Step(NamedTuple):
 
 def single_steps(chart: Chart, only: list[int] | None = None) -> Proposals:
     """Return the Proposals of steps along one direction each, of LATTICE metres, with weights whose sum is 1.
-
-    only : coordinates that may move, None for all.
-    """
+    only : coordinates that may move, None for all."""
     size = size_of(chart)
     free = np.zeros(size, bool)
     free[slice(None) if only is None else only] = True
@@ -243,12 +232,10 @@ SHRINK = 1e-6  # metres added to every spread, so that few draws do not make a f
 
 
 def block_steps(chart, covariance, only=None, center=None):
-    """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay; their
-    weights sum to 2.
+    """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay.
 
     only : the coordinates that may move at all: then the covariance is theirs alone, (len(only), len(only)).
-    center : (D,) the mean that goes with it: steps are drawn to what both let expect, but for those of what the image
-        does not hold, whose density is far from normal.
+    center : (D,) the mean that goes with it: steps are drawn to it, but for those of what the image does not hold.
     """
     size = size_of(chart)
     members = np.arange(size) if only is None else np.asarray(only)
@@ -306,10 +293,8 @@ def floor_step(covariance: np.ndarray, count: int, center: np.ndarray | None) ->
     """Return the Step that moves the floor, and with it all else as a covariance (D, D) lets expect.
 
     The floor's coordinates f, of covariance L L', move by L z and the others by C(others, f) C(f, f)^-1 L z: what these
-    are off what f lets expect, which is independent of f, stays. Given the others the floor alone hardly moves, for
-    solids stand on it.
-
-    count : of solids. center : see `block_steps`.
+    are off what f lets expect stays. Given the others the floor alone hardly moves. count : of solids. center : see
+    above.
     """
     size, factor = len(covariance), np.linalg.cholesky(covariance[-FLOOR_WAYS:, -FLOOR_WAYS:])
     matrix = np.linalg.solve(factor, covariance[-FLOOR_WAYS:]).T

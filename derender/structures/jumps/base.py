@@ -1,19 +1,15 @@
-"""What a reversible jump is: an involution on (scene, random choices), as in Gen's traces (Green 1995; Cusumano-Towner
-2020).
+"""What a reversible jump is: an involution on (scene, random choices) (Green 1995; Cusumano-Towner 2020).
 
-A move draws its random choices u given the scene G and maps (G, u) to (G', u') by a map that is its own inverse:
-applied to (G', u') it returns (G, u). All maps here exchange, shift or turn numbers, which keeps volumes; so with
-q(u | G) the probability density of the choices,
+A move draws its random choices u given the scene G and maps (G, u) to (G', u') by a map that is its own inverse. All
+maps here exchange, shift or turn numbers, which keeps volumes; so with q(u | G) the probability density of the choices,
 
-    log ratio = log posterior(G') - log posterior(G) + log q(u' | G') - log q(u | G),
+    log ratio = log posterior(G') - log posterior(G) + log q(u' | G') - log q(u | G).
 
-which is Green's rule, positive where G' is the better one. One function takes every step; moves say q and the map.
-What a structural prior lets stand where, the sets that jumps choose from, is its `Vocabulary`.
+One function takes every step; moves say q and the map. What a prior lets stand where is its `Vocabulary`.
 
-Scenes are sets of objects: names and the order of the list tell nothing, so a scene's density is the prior's density
-of the list times the number of equally likely lists, under the stock measure (Lebesgue on lengths and angles, Haar of
-mass one on rotations). Choices "one object among n" are then counted without any factor for labels. It takes at least
-one continuous number for each object that can be born: two objects are never the same.
+Scenes are sets of objects: a scene's density is the prior's density of the list times the number of equally likely
+lists, under the stock measure (Lebesgue on lengths and angles, Haar of mass one on rotations). Choices "one object
+among n" are then counted without any factor for labels. It takes a continuous number for each object that can be born.
 """
 
 import math
@@ -43,9 +39,7 @@ Table = Mapping[str, float | Distribution]  # a contact's numbers by name, slack
 
 class PriorProposal:
     """A parent, each as likely; then kind, sizes, contact and its numbers from the prior.
-
-    log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers).
-    """
+    log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers)."""
 
     def sample(self, rng: np.random.Generator, words: Any, graph: SceneGraph) -> Vertex | None:
         """Return a new vertex with a name of its own; None where nothing can grow."""
@@ -75,12 +69,8 @@ class PriorProposal:
 class Vocabulary:
     """What may be born, where, and touching how.
 
-    prior : Algorithm1Prior or GrammarPrior.
-    proposal : from which births are drawn (`sample(rng, words, graph)`, `log_density(words, graph, vertex)`); None:
-        the prior itself.
-
-    base : names of the objects that are always there.
-    shapes : ShapePrior of each kind of object that can be born.
+    prior : Algorithm1Prior or GrammarPrior. proposal : from which births are drawn, see PriorProposal; None: the prior.
+    base : names of the objects that are always there. shapes : ShapePrior of each kind of object that can be born.
     """
 
     def __init__(self, prior: Algorithm1Prior | GrammarPrior, proposal: PriorProposal | None = None) -> None:
@@ -191,9 +181,7 @@ moves: Registry[Move] = Registry("jump", "derender.jumps")
 
 class Target:
     """The posterior over scenes: `prior.log_density + prior.log_orderings + log_likelihood`.
-
-    prior : Prior. log_likelihood : of a scene; the prior itself is the target where none is given.
-    """
+    prior : Prior. log_likelihood : of a scene; the prior itself is the target where none is given."""
 
     def __init__(self, prior: GrammarPrior, log_likelihood: Callable[[SceneGraph], float] = lambda graph: 0.0) -> None:
         self.prior, self.log_likelihood = prior, log_likelihood
@@ -262,9 +250,8 @@ class Shift(NamedTuple):
 class Wiggle(Move):
     """Shift some numbers of one object by normals of a random scale; all that stands on it rides along.
 
-    Choices: the object, or the root; a scale, evenly in its logarithm; all its numbers or one of them; the steps. Back
-    are the opposite steps of the same scale: normals are even and circles and rotations have no boundary, so the q
-    cancel; a shift keeps lengths, a turn Haar's measure.
+    Choices: the object, or the root; a scale, evenly in its logarithm; all its numbers or one; the steps. Back are the
+    opposite steps: normals are even and circles and rotations have no boundary, so the q cancel; volumes are kept.
     """
 
     weight = 12.0

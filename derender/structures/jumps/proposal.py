@@ -22,9 +22,7 @@ ON_PRIOR = 0.2  # share of the births that come from the prior all the same: not
 
 class Hypothesis(NamedTuple):
     """A solid that the image suggests.
-
-    length, angle : standard deviations, metres and radians, of where it really is.
-    """
+    length, angle : standard deviations, metres and radians, of where it really is."""
 
     kind: str  # of the prior's shapes
     parameters: dict[str, float]  # psi by name

@@ -1,8 +1,7 @@
 """Scene graphs under a prior of open structure, by chains of jumps whose draws make up a posterior: `--method mcmc`.
 
-Without a prior, images are inferred under DEFAULT_PRIOR with the floor where it was seen and the noise that it shows.
-Chains start from the search's one best scene, written in the prior's own words, and births are proposed about its
-solids; nothing that `auto` weighs is used, so the weights of the two come about in different ways.
+Without a prior, it is DEFAULT_PRIOR with the floor where it was seen and the noise that the image shows. Chains start
+from the search's one best scene, and births are proposed about its solids; nothing that `auto` weighs is used.
 """
 
 import json
@@ -106,11 +105,8 @@ def _named(
 
 
 def start_graph(words: Vocabulary, base: SceneGraph, seen: SceneGraph) -> SceneGraph:
-    """Return a scene that the prior allows, with the solids of another one, each in the contact that fits it best.
-
-    A solid that no contact holds, or that enters others more than the prior's terms allow even when it is shrunk by a
-    few per cent, is left out: jumps may bring it back.
-    """
+    """Return a scene that the prior allows, with the solids of another one, each in the contact that fits it best;
+    without those that no contact holds, or that the prior's terms do not allow even when shrunk by a few per cent."""
     graph = base
     for vertex in seen.vertices:
         if vertex.body.size() is None:
@@ -158,9 +154,7 @@ def infer_by_jumps(
 ) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
-    document : None for the default prior, its floor where it was seen.
-    options : Options: shapes, max_objects, may_overlap, may_float, floor,
-        chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
+    document : None for the default prior, its floor where it was seen. options : Options; warmup counts steps.
 
     Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
@@ -275,9 +269,8 @@ def walk(
 class JumpSampler:
     """Walks one chain, in the form that checkpoints, resuming and several processes ask for.
 
-    Scenes that come and go have no fixed row of numbers, so what has been drawn stands in the state, as text: a line
-    for each scene, to which a segment adds its own. Each segment begins with an image and a vocabulary of its own: what
-    follows depends on the scene and the generator alone, so that a resumed chain equals an uninterrupted one to the
+    Scenes that come and go have no fixed row of numbers, so what has been drawn stands in the state, as text, a line
+    each. A segment depends on the scene and the generator alone: a resumed chain equals an uninterrupted one to the
     last bit.
 
     start_graph : a scene of positive prior density. camera, image (H, W), likelihood, values : as of `ObservedImage`.
@@ -394,9 +387,7 @@ def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
 
 def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
     """Return the draws of chains as a Posterior: one part for each structure, objects told by their places.
-
-    They are called as in the best draw of the likeliest structure.
-    """
+    They are called as in the best draw of the likeliest structure."""
     every = [state for draws in found for state in draws.states]
     (likeliest, _), *_ = Counter(unnamed(state.graph) for state in every).most_common(1)
     there = (state for state in every if unnamed(state.graph) == likeliest)
@@ -420,9 +411,7 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
 
 def agreement(visited: Sequence[Sequence[tuple]]) -> dict[str, Any]:
     """Return how far chains, each given by the structures of its draws, agree about the likeliest structure.
-
-    shares : of it, by chain; r_hat, ess : of its being visited, None where it always is or they cannot be told.
-    """
+    shares : of it, by chain; r_hat, ess : of its being visited, None where it always is or they cannot be told."""
     likeliest = Counter(structure for chain in visited for structure in chain).most_common(1)[0][0]
     shortest = min(map(len, visited))
     there = np.array([[structure == likeliest for structure in chain[:shortest]] for chain in visited], float)

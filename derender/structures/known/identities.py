@@ -105,9 +105,7 @@ class Placement:
     def refine(self, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int, view: Any, rounds: int,
                heat: float = 2.0, scales: np.ndarray = SCALES) -> tuple[float, np.ndarray]:  # fmt: skip
         """Return (energy, row) of one object annealed against the rest of the scene, see `walk_known`.
-
-        view : depth, label and misfit without it.
-        """
+        view : depth, label and misfit without it."""
         start = row.copy()
         start[SIZE:] = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
         row, energy = walk_known(
@@ -168,9 +166,7 @@ class Placement:
 
     def grids(self, counts: dict[str, int]) -> list[Placed]:
         """Return the known boxes of grids that explain as much as what the first search found in their places.
-
-        counts : of how many of each object there may be more, changed in place.
-        """
+        counts : of how many of each object there may be more, changed in place."""
         placed: list[Placed] = []
         taken: set[int] = set()
         for group, space in self.spaces():
@@ -268,12 +264,9 @@ class Placement:
         return placed
 
     def as_large(self, item: Placed, row: np.ndarray) -> bool:
-        """Whether a solid of unknown sizes, a row (ROW,), is a known object as far as a reduced image tells.
-
-        Its blocks put silhouettes by up to half of one wrong, which costs a solid of given sizes tens of nats and one
-        of free sizes nothing: within that both explain the image as well. (Of 80 made images with two of three known
-        objects and a stranger, 320 and 640 columns wide, sharp and blurred, identities were right in 55, 77 so.)
-        """
+        """Whether a solid of unknown sizes, a row (ROW,), is a known object as far as a reduced image tells, whose
+        blocks put silhouettes by up to half of one wrong, which costs a solid of given sizes tens of nats and one of
+        free sizes nothing."""
         if item.known is None or item.known.shape == "mesh" or int(row[0]) != int(item.row[0]):
             return False
         across = np.abs(rotation_of(row).T @ rotation_of(item.row))
@@ -401,16 +394,15 @@ def rotate_about(row, axis, angle):
 @njit(cache=True, nogil=True)
 def walk_known(rng, image, meshes, start, others, skip, depth, misfit, base, slack, tilt, scale, rounds,
                heat):  # fmt: skip
-    """Return (row, energy) of the best that one object meets on an annealed walk from `start` (ROW,), the rest of the
-    scene held still.
+    """Return (row, energy) of the best that one object meets on an annealed walk from `start` (ROW,), the rest held
+    still.
 
     Steps: along the floor's x, y, z; turns about the vertical and about the floor's x and y through the centre.
 
-    others : (N, ROW), what it must not enter, of which `skip` is left out. depth, misfit : (H, W) of the scene without
-        it. base : height that its lowest point is held to, NaN for none.
-    tilt : standard deviation of the radians by which it leans from the way it was said to lie.
-    scale : (6,) metres, standard deviation of each step (turns: times 8 rad/m), changed in place. heat : temperature at
-        the start, falling to 0.
+    others : (N, ROW), what it must not enter but `skip`. depth, misfit : (H, W) of the scene without it. base : height
+        that its lowest point is held to, NaN for none. tilt : standard deviation of the radians by which it leans.
+    scale : (6,) metres, of each step (turns: times 8 rad/m), changed in place. heat : temperature at the start, falling
+        to 0.
     """
     row, trial, best, least = start.copy(), start.copy(), start.copy(), np.inf
     energy = np.inf

@@ -6,10 +6,8 @@
 
 `count` says how many of it there may be (default: any number).  Files are looked for beside the library.
 
-Also grids of equal known boxes, as on a pallet: which numbers of them fill a space, and where the whole grid stands.
-Between cartons hardly a gap shows, so that a search for single solids sees one box, or slabs, or columns. A grid is
-placed as one body: where it stands, how it is turned and how wide its gaps are, is fitted to the image, and what no
-pixel shows of it follows from that.
+Also grids of equal known boxes, as on a pallet, between which hardly a gap shows: which numbers of them fill a space,
+and where the grid stands, how it is turned and how wide its gaps are, fitted to the image as of one body.
 """
 
 from collections.abc import Callable, Mapping
@@ -73,11 +71,8 @@ class Known:
         return flat_meshes(((np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)),))
 
     def resting(self) -> list[np.ndarray]:
-        """Return the ways in which it may lie, (3, 3) rotations, object to floor.
-
-        One of its own axes points down, and it is turned about the vertical by multiples of an eighth turn; of ways
-        that its symmetry makes one only the first is there.
-        """
+        """Return the ways in which it may lie, (3, 3) rotations, object to floor: one of its own axes down, turned
+        about it by eighths, once where its symmetry makes several one."""
         found: list[np.ndarray] = []
         eighths = [rotation_z(k * np.pi / 4)[:3, :3] for k in range(8)]
         for down in range(3):
@@ -188,9 +183,7 @@ class Layout(NamedTuple):
 
 def space_of(row: np.ndarray, base: float = np.nan) -> Space | None:
     """Return the Space that a solid's row (ROW,) fills; None where it is no upright box.
-
-    base : height of what it stands on; NaN: of its own lower end.
-    """
+    base : height of what it stands on; NaN: of its own lower end."""
     rotation = rotation_of(row)
     if int(row[0]) != BOX or abs(rotation[2, 2]) < LEVEL:
         return None
@@ -253,8 +246,7 @@ def fitted(
 ) -> tuple[float, np.ndarray]:
     """Return (misfit, rows (N, ROW)) of a layout, moved and its gaps changed while that explains the image better.
 
-    As the one box that it fills first, which is a fraction of the work, and then as its boxes, for some gaps show: from
-    where that box stands, or with others of the gaps that it may have.
+    As the one box that it fills first, and then as its boxes, from there or with other gaps.
 
     misfit : of the image, of rows (N, ROW). origin : (3,) the camera's centre.
     """

@@ -55,17 +55,14 @@ def known_posterior(
     draws: int,
     goes_on: bool = False,
 ) -> list[StructurePosterior]:
-    """Return the structures: the most probable identities with full chains, others as they are polished.
-
-    What one object is tells nothing of what another is: the weight of a structure is the product of its identities'.
+    """Return the structures: the most probable identities with full chains, others as they are polished, the weight of
+    each the product of its identities'. The first part's extras hold `identities`: the probabilities of each object's
+    names.
 
     image, whole : as it is searched, and as it came. state : what the search for solids of unknown sizes found.
     seen : from a scene to the whole image bound to the likelihood that it suggests given that scene.
-    library : Known objects.
-    others : whether solids that are none of them may be there.
+    others : whether solids that are none of the library's may be there.
     goes_on : whether chains that disagree after so many draws make more.
-
-    The first part's extras hold `identities`: for each object, the probability of each name of the library.
     """
     placement = Placement(rng, image, whole, state, settings, library, others)
     placed = placement.place()
@@ -117,9 +114,7 @@ def enough(placed: list[Placed]) -> bool:
 
 def names_of(placed: list[Placed], kept: list[str] | None = None) -> list[str]:
     """Return a name for each: its library's (a second one of the same: name_2), or its shape and a number.
-
-    kept : names that some have already, "" for the others.
-    """
+    kept : names that some have already, "" for the others."""
     names = [""] * len(placed) if kept is None else list(kept)
     for k, item in enumerate(placed):
         if not names[k]:
@@ -145,12 +140,8 @@ def part_of_known(
     rng: np.random.Generator, placement: Placement, placed: list[Placed], names: list[str], floor_pose: np.ndarray,
     seen: Seen, chains: int, draws: int, most: int = 0,
 ) -> StructurePosterior:  # fmt: skip
-    """Return draws of all numbers under given identities, by chains from where things were placed; of one the place.
-
-    most : draws of each chain up to which those that disagree go on.
-
-    The extras of draws hold the `spots` that the likeliest of them leaves.
-    """
+    """Return draws of all numbers under given identities, and the `spots` they leave, by chains from where things were
+    placed; of one the place. most : draws of each chain up to which those that disagree go on."""
     parents, bases = placement.parents(placed)
     placed = [replace(item, base=base) for item, base in zip(placed, bases, strict=True)]
     graph = graph_of(placed, parents, floor_pose, names)
@@ -190,11 +181,8 @@ class Even(NamedTuple):
 
 def laws_of(graph: SceneGraph, placed: list[str], unknown: list[str], unseen: list[str]) -> dict[str, Distribution]:
     """Return what is believed of each free number of a scene: objects lie anywhere near, those of unknown sizes are as
-    large as the search takes them to be.
-
-    unseen : names of objects that are there because a grid has them, though nothing shows them: they stand where it has
-        them, off by no more than the gaps between its cartons.
-    """
+    large as the search takes them to be, those `unseen` that a grid has stand where it has them, but for the gaps
+    between its cartons."""
     laws: dict[str, Distribution] = {}
     uniform, size = distributions["uniform"], distributions["log-normal"](TYPICAL_SIZE, SIZE_SPREAD)
     for vertex in (vertex for vertex in graph.vertices if vertex.name in placed):
