@@ -1,9 +1,8 @@
 """What the image says about the sensor: noise, its growth with depth, blur, outliers, given a first explanation."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from operator import itemgetter
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ OF_NOISE = ("sigma", "sigma_growth", "outlier")
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
+LAST_STEPS = (0.05, 0.025, 0.0125)  # pixels by which the blur near the best one is improved at the end
 STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and how many such steps at most
 APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
 RULES_OUT = 15.0  # nats by which a blur explains less, solids held: where they give way the blur is more open
@@ -37,9 +37,6 @@ LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: of pixels beyond it, only that nothing stands before that is believed
 NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and hardly anything that it does not explain
-
-
-NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
 
 
 class Sensor(NamedTuple):
@@ -101,6 +98,11 @@ class Sensor(NamedTuple):
     def clean(self, chart: Chart, values: np.ndarray) -> np.ndarray:
         """Return the clean depth (H, W) of a chart's solids in this view, with its likelihood's wall behind."""
         return model_depth(chart, values, self.camera, self.into, self.values.get("background", BACKGROUND))
+
+    def noise(self, clean: np.ndarray, believed: LikelihoodPrior | None = None) -> "Noise":
+        """Return the Noise that the first view beside a clean depth (H, W) tells under its likelihood's type."""
+        held = {**held_by(self.prior), "background": self.values.get("background", BACKGROUND)}
+        return Noise(self.observed, clean, held, believed, outliers=self.likelihood.name != "gaussian")
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
         """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
@@ -176,11 +178,11 @@ def first_sensor(
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor.
     wall : how far away what lies behind everything is seen, see `Observation`; None: it is not."""
     into = np.eye(4) if into is None else into
-    held = {**behind_all(wall), **(NONE if shares_noise(prior) else held_by(prior))}
+    held = {**behind_all(wall), **({} if shares_noise(prior) else held_by(prior))}
     clean = model_depth(chart, values, camera, into, held["background"])
     observed = cut_off(observed, clean)
-    fitted = partial(robust_fit, observed, clean, rates=(FIRST_OUTLIERS,), held=held)
-    best = max((fitted(blurred) for blurred in BLURS), key=itemgetter(0))
+    noise = Noise(observed, clean, held)
+    best = max((noise.fitted(blurred, (FIRST_OUTLIERS,)) for blurred in BLURS), key=itemgetter(0))
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
         return sensor
@@ -237,37 +239,100 @@ def better_blur(at: float, density: Callable[[float], float]) -> float:
     return at
 
 
-def robust_fit(
-    observed: np.ndarray,
-    clean: np.ndarray,
-    blurred: float,
-    rates: tuple[float, ...],
-    every: int = 1,
-    held: Mapping[str, float] = NONE,
-    believed: LikelihoodPrior | None = None,
-) -> tuple[float, str, dict[str, float]]:
-    """Return (log density, name, numbers) of a robust likelihood with a blur of so many pixels, the noise fitted.
+class Noise(NamedTuple):
+    """What says which noise there is: an image beside the clean depth of a scene, and what is known of the sensor.
 
-    The density is that of the depths where something returned: pixels are lost at edges and elsewhere at one rate.
-    rates : of outliers, the best of which is taken. every : look at each `every`-th pixel of each `every`-th row.
-    held : numbers that are known, whatever is asked. believed : what is believed of them, which counts too.
+    observed : (H, W) metres, see Sensor. clean : (H, W) metres, with the wall behind. held : numbers that are known.
+    believed : LikelihoodPrior of the others, which counts too. every : look at each `every`-th pixel of each `every`-th
+    row. outliers : whether the likelihood is robust, else it is normal.
     """
-    blurred, rates = held.get("blur", blurred), (held["outlier"],) if "outlier" in held else rates
-    model = blur(clean, blurred)[::every, ::every]
-    residual = shown(observed)[::every, ::every] - model
-    sigma, growth = noise_of(residual, model)
-    sigma, growth = held.get("sigma", sigma), held.get("sigma_growth", growth)
-    seen = np.isfinite(residual)
-    missing = float(np.clip(np.mean(np.isnan(observed)), LEAST_MISSING, MOST_MISSING))
-    numbers = {"sigma": sigma, "sigma_growth": growth, "blur": float(blurred), "missing": missing,
-               "missing_edge": missing, "background": BACKGROUND, **outlier_range(observed)}  # fmt: skip
-    numbers |= {name: held[name] for name in ("missing", "missing_edge", "background") if name in held}
-    surface = surface_density(residual[seen], model[seen], numbers)
-    found = []
-    for outlier in rates:
-        told = {**numbers, "outlier": outlier}
-        found.append((mixture_density(surface, told) + log_prior_of(believed, told), "robust", told))
-    return max(found, key=itemgetter(0))
+
+    observed: np.ndarray
+    clean: np.ndarray
+    held: Mapping[str, float]
+    believed: LikelihoodPrior | None = None
+    every: int = 1
+    outliers: bool = True
+
+    def model(self, blurred: float) -> np.ndarray:
+        """Return the depth of the pixels looked at under a blur of so many pixels."""
+        return blur(self.clean, blurred)[:: self.every, :: self.every]
+
+    @property
+    def known(self) -> np.ndarray:
+        """The image at the pixels looked at, NaN where it does not show the scene."""
+        return shown(self.observed)[:: self.every, :: self.every]
+
+    def fitted(self, blurred: float, rates: tuple[float, ...] = RATES[:1]) -> tuple[float, str, dict[str, float]]:
+        """Return (log density, name, numbers) of the likelihood with a blur of so many pixels, the noise fitted.
+
+        The density is that of the depths where something returned: pixels are lost at edges and elsewhere at one rate.
+        rates : of outliers, the best of which is taken. What is held is so, whatever is asked.
+        """
+        blurred = float(self.held.get("blur", blurred))
+        model = self.model(blurred)
+        residual = self.known - model
+        if not self.outliers:
+            return self._normal(residual, blurred)
+        sigma, growth = noise_of(residual, model)
+        missing = float(np.clip(np.mean(np.isnan(self.observed)), LEAST_MISSING, MOST_MISSING))
+        numbers = {"sigma": sigma, "sigma_growth": growth, "blur": blurred, "missing": missing,
+                   "missing_edge": missing, "background": BACKGROUND}  # fmt: skip
+        numbers |= {name: self.held[name] for name in numbers if name in self.held} | outlier_range(self.observed)
+        seen = np.isfinite(residual)
+        surface = surface_density(residual[seen], model[seen], numbers)
+        found = []
+        for outlier in (self.held["outlier"],) if "outlier" in self.held else rates:
+            told = {**numbers, "outlier": outlier}
+            found.append((mixture_density(surface, told) + log_prior_of(self.believed, told), "robust", told))
+        return max(found, key=itemgetter(0))
+
+    def _normal(self, residual: np.ndarray, blurred: float) -> tuple[float, str, dict[str, float]]:
+        """Return what `fitted` does of a normal likelihood."""
+        seen = np.isfinite(residual)
+        square = float(np.nanmean(residual**2)) if seen.any() else 0.0
+        sigma = self.held.get("sigma", float(np.clip(np.sqrt(square), LEAST_SIGMA, MOST_SIGMA)))
+        density = -int(seen.sum()) * (0.5 * square / sigma**2 + np.log(sigma) + 0.5 * np.log(2.0 * np.pi))
+        numbers = {"sigma": sigma, "blur": blurred, "background": self.held.get("background", BACKGROUND)}
+        return density + log_prior_of(self.believed, numbers), "gaussian", numbers
+
+    def by_blur(self, numbers: Mapping[str, float]) -> Callable[[float], float]:
+        """Return the log density as a function of the blur alone: a robust likelihood's other numbers stay as they are,
+        for near blurs are compared so at a fifth of the work of a fit; a normal one's noise is fitted."""
+        if not self.outliers:
+            return lambda blurred: self.fitted(blurred)[0]
+        known = self.known
+        seen = np.isfinite(known)
+        told = known[seen]
+
+        def density(blurred: float) -> float:
+            model = self.model(blurred)[seen]
+            own = log_prior_of(self.believed, {**numbers, "blur": blurred})
+            return mixture_density(surface_density(told - model, model, numbers), numbers) + own
+
+        return density
+
+    def with_blur(
+        self, blurs: Iterable[float], rates: tuple[float, ...], steps: tuple[float, ...]
+    ) -> tuple[float, str, dict[str, float]]:
+        """Return what `fitted` does with the blur near the best of `blurs`, improved by steps of so many pixels.
+        rates : of outliers, the first while the blur is sought."""
+        robust = self._replace(outliers=True)
+        best = max((robust.fitted(blurred, rates[:1]) for blurred in blurs), key=itemgetter(0))
+        at, density = best[2]["blur"], robust.by_blur(best[2])
+        for step in () if "blur" in self.held else steps:
+            if at > 0.0:
+                at = max((at, max(at - step, 0.0), at + step), key=density)
+        return self.fitted(at, rates)
+
+
+def noise_told_by(
+    observed: np.ndarray, clean: np.ndarray, prior: LikelihoodPrior | None, wall: float, every: int = 1
+) -> Noise:
+    """Return the Noise of an image and a clean depth under a Sensor's prior: its numbers hold, and noise that it says
+    is gaussian is so where everything that the image shows is part of the scene. wall : behind the clean depth."""
+    normal = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
+    return Noise(observed, clean, {**held_by(prior), "background": wall}, every=every, outliers=not normal)
 
 
 def surface_density(residual: np.ndarray, model: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
@@ -282,73 +347,12 @@ def mixture_density(surface: np.ndarray, numbers: Mapping[str, float]) -> float:
     return float(np.log((1.0 - outlier) * surface + outlier / (numbers["far"] - numbers["near"])).sum())
 
 
-def density_by_blur(
-    observed: np.ndarray, clean: np.ndarray, numbers: Mapping[str, float], every: int = 1,
-    believed: LikelihoodPrior | None = None,
-) -> Callable[[float], float]:  # fmt: skip
-    """Return the log density of a robust likelihood as a function of its blur, its other numbers as they are: what near
-    blurs are compared by, at a fifth of the work of `robust_fit`."""
-    known = shown(observed)[::every, ::every]
-    seen = np.isfinite(known)
-    told = known[seen]
-
-    def density(blurred: float) -> float:
-        model = blur(clean, blurred)[::every, ::every][seen]
-        own = log_prior_of(believed, {**numbers, "blur": blurred})
-        return mixture_density(surface_density(told - model, model, numbers), numbers) + own
-
-    return density
-
-
 def outlier_range(observed: np.ndarray) -> dict[str, float]:
     """Return `near` and `far` of a robust likelihood: the default ones, or wider where the image has such depths."""
     seen = np.abs(observed[np.isfinite(observed)])
     low, high = (seen.min(), seen.max()) if len(seen) else (NEAR, FAR)
     most = likelihoods["robust"].known["far"].upper
     return {"near": float(min(NEAR, 0.9 * low)), "far": float(max(FAR, min(1.1 * high, most)))}
-
-
-def gaussian_fit(
-    observed: np.ndarray, clean: np.ndarray, blurred: float, every: int = 1, held: Mapping[str, float] = NONE
-) -> tuple[float, str, dict[str, float]]:
-    """Return (log density, name, numbers) of a normal likelihood with a blur of so many pixels, the noise fitted."""
-    blurred = held.get("blur", blurred)
-    residual = (observed - blur(clean, blurred))[::every, ::every]
-    square = float(np.nanmean(residual**2)) if np.isfinite(residual).any() else 0.0
-    sigma = held.get("sigma", float(np.clip(np.sqrt(square), LEAST_SIGMA, MOST_SIGMA)))
-    count = int(np.isfinite(residual).sum())
-    density = -count * (0.5 * square / sigma**2 + np.log(sigma) + 0.5 * np.log(2.0 * np.pi))
-    wall = held.get("background", BACKGROUND)
-    return density, "gaussian", {"sigma": sigma, "blur": float(blurred), "background": wall}
-
-
-def best_fit(
-    observed: np.ndarray,
-    clean: np.ndarray,
-    blurs: set[float] | tuple[float, ...],
-    rates: tuple[float, ...],
-    steps: tuple[float, ...],
-    every: int = 1,
-    prior: LikelihoodPrior | None = None,
-    wall: float = BACKGROUND,
-) -> tuple[float, str, dict[str, float]]:
-    """Return (log density, name, numbers): the blur near the best of `blurs`, with outliers unless the prior says
-    otherwise.
-
-    rates : of outliers, the first while the blur is sought. steps : pixels by which the blur is then improved.
-    prior : see Sensor: its numbers hold, and gaussian noise that it says is gaussian. wall : behind the clean depth.
-    """
-    held = {**held_by(prior), "background": wall}
-    fitted = partial(robust_fit, observed, clean, every=every, held=held)
-    best = max((fitted(blurred, rates[:1]) for blurred in blurs), key=itemgetter(0))
-    at, density = best[2]["blur"], density_by_blur(observed, clean, best[2], every)
-    if "blur" not in held:
-        for step in steps:
-            if at > 0.0:
-                at = max((at, max(at - step, 0.0), at + step), key=density)
-    robust = fitted(at, rates)
-    gaussian = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
-    return gaussian_fit(observed, clean, at, every, held) if gaussian else robust
 
 
 def whole_sensor(
@@ -368,7 +372,8 @@ def whole_sensor(
     wall, every = sensor.values["background"], max(1, camera.width // TOLD_BY)
     scene = model_depth(chart, values, camera, sensor.into, wall)
     observed = cut_off(whole, scene)
-    _, name, told = best_fit(observed, scene, blurs, RATES, (0.05, 0.025, 0.0125), every, sensor.prior, wall)
+    noise = noise_told_by(observed, scene, sensor.prior, wall, every)
+    _, name, told = noise.with_blur(blurs, RATES, LAST_STEPS)
     return sensor._replace(camera=camera, observed=observed, beside=None).changed(name, **told)
 
 
@@ -391,8 +396,8 @@ def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
         if shares_noise(view.prior):
             return under_shared_noise(view, clean, None)
         about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
-        _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125),
-                                    prior=view.prior, wall=view.values["background"])  # fmt: skip
+        noise = noise_told_by(view.observed, clean, view.prior, view.values["background"])
+        _, name, numbers = noise.with_blur({0.0, *about}, RATES, LAST_STEPS)
         return view.changed(name, **numbers)
 
     return sensor.each(refitted)
@@ -407,41 +412,25 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
     """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
     if shares_noise(sensor.prior):
         return under_shared_noise(sensor, clean, None)
-    held = {**held_by(sensor.prior), "background": sensor.values["background"]}
-
-    def fitted(blurred, *rates):
-        if sensor.likelihood.name == "gaussian":
-            fit = gaussian_fit(sensor.observed, clean, blurred, held=held)
-            return (fit[0] + log_prior_of(sensor.prior, fit[2]), *fit[1:])
-        return robust_fit(sensor.observed, clean, blurred, rates, held=held, believed=sensor.prior)
-
+    noise = sensor.noise(clean, believed=sensor.prior)
     rate, at = sensor.values.get("outlier", RATES[0]), sensor.values["blur"]
-    best = fitted(at, rate)
-    if "blur" not in held:
-        by_blur = partial(density_by_blur, sensor.observed, clean, best[2], believed=sensor.prior)
-        at = better_blur(at, (lambda blurred: fitted(blurred)[0]) if best[1] == "gaussian" else by_blur())
-    best = fitted(at, rate, *RATES)
-    return sensor.changed(best[1], **best[2])
+    if "blur" not in noise.held:
+        at = better_blur(at, noise.by_blur(noise.fitted(at, (rate,))[2]))
+    _, name, numbers = noise.fitted(at, (rate, *RATES))
+    return sensor.changed(name, **numbers)
 
 
 def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
     """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open.
     One that is known is the only one."""
-    at, known = sensor.values["blur"], held_by(sensor.prior)
-    if "blur" in known:
+    at, noise = sensor.values["blur"], sensor.noise(clean)
+    if "blur" in noise.held:
         return np.array([at])
-    shared = sensor.likelihood.name == "correlated"
-    image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", sensor.values) if shared else None
-
-    def density(blurred):
-        if image is not None:
-            return image.set_values({"blur": blurred})
-        return gaussian_fit(sensor.observed, clean, blurred, held=known)[0]
-
-    if sensor.likelihood.name == "robust":
-        numbers = robust_fit(sensor.observed, clean, at, RATES[:1], held=known)[2]
-        density = density_by_blur(sensor.observed, clean, numbers)
-
+    if sensor.likelihood.name == "correlated":
+        image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", sensor.values)
+        density: Callable = lambda blurred: image.set_values({"blur": blurred})  # noqa: E731
+    else:
+        density = noise.by_blur(noise.fitted(at)[2])
     ends = []
     for way in (-1.0, 1.0):  # outwards, ever farther, to where the image rules a blur out
         away, held = APART, density(at)
@@ -462,11 +451,10 @@ def image_likelihood(
     clean = np.minimum(clean, held["background"])
     every = max(1, camera.width // LOOKED_AT)
     if shares_noise(prior):
-        found = robust_fit(observed, clean, 0.0, (FIRST_OUTLIERS,), held=behind_all(wall))[2]
+        found = Noise(observed, clean, behind_all(wall)).fitted(0.0, (FIRST_OUTLIERS,))[2]
         sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
         found = under_shared_noise(sensor, clean, 0)
         return found.likelihood.name, found.values
-    numbers: dict[str, float]
-    _, name, numbers = best_fit(observed, clean, (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4), (0.25, 0.1), every, prior,
-                                held["background"])  # fmt: skip
+    noise = noise_told_by(observed, clean, prior, held["background"], every)
+    _, name, numbers = noise.with_blur((*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4), (0.25, 0.1))
     return name, numbers
