@@ -21,6 +21,9 @@ BALANCED = 1e-3
 STATIONARY = 1e-6
 # Columns whose part outside the span of the others is below this square are in it.
 DEPENDENT = 1e-12
+MOST_MARGIN = 4.0  # g: accelerations beyond it are not looked at
+WAYS = 16  # directions around the circle in which a margin is confirmed: it is at most 2 % too great
+WITHIN = 2e-3  # share by which that circle is inside the lines that bound it
 
 
 @njit(cache=True, nogil=True)
@@ -206,29 +209,22 @@ def equilibrium(parts: tuple[np.ndarray, ...], load: np.ndarray) -> tuple[np.nda
 
 
 def least_push(
-    parts: tuple[np.ndarray, ...],
-    load: np.ndarray,
-    memory: tuple[np.ndarray, ...],
-    across: np.ndarray,
-    most: float,
-    ways: int,
-    within: float,
+    parts: tuple[np.ndarray, ...], load: np.ndarray, memory: tuple[np.ndarray, ...], across: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return the least horizontal acceleration, in g, that the contacts cannot bear, and its direction (3,).
 
     The accelerations that can be borne are a convex set in the horizontal plane. One outside it gives a straight line
-    that the set does not cross; the margin is the distance of the nearest such line from the origin, once `ways`
-    accelerations around a circle of this radius are inside: it is at most a share 1 - cos(pi / ways) too great.
+    that the set does not cross; the margin is the distance of the nearest such line from the origin, once WAYS
+    accelerations around a circle of this radius are inside: it is at most a share 1 - cos(pi / WAYS) too great.
 
-    across : (2, 3) horizontal unit vectors. most : the margin is not sought beyond this, g.
-    within : share by which the circle is inside the lines.
+    across : (2, 3) horizontal unit vectors.
     """
-    radius, least = most, across[0]
-    for k in range(ways):
-        way = math.cos(2.0 * math.pi * k / ways) * across[0] + math.sin(2.0 * math.pi * k / ways) * across[1]
+    radius, least = MOST_MARGIN, across[0]
+    for turn in 2.0 * math.pi * np.arange(WAYS) / WAYS:
+        way = math.cos(turn) * across[0] + math.sin(turn) * across[1]
         # The set is convex: directions that passed further out pass nearer in, so only this one is looked at again.
         while radius > BALANCED:
-            reach = radius * (1.0 - within)
+            reach = radius * (1.0 - WITHIN)
             trial = load.copy()
             trial[:, :3] += reach * way
             residual = balance(*parts, trial, memory, True)

@@ -53,7 +53,12 @@ def assume_stable(posterior: Posterior) -> tuple[Posterior, float]:
 
     Raises DerenderError : no draw stands.
     """
-    found = [(part, _standing(part)) for part in posterior.parts]
+    found = []
+    for part in posterior.parts:
+        stands = [
+            Equilibrium(matter_of_graph(part.graph_at(*each))).stands for each in np.ndindex(part.log_density.shape)
+        ]
+        found.append((part, np.reshape(stands, part.log_density.shape)))
     weights = [part.weight * float(mask.mean()) for part, mask in found]
     total = sum(weights)
     if total <= 0.0:
@@ -66,14 +71,6 @@ def assume_stable(posterior: Posterior) -> tuple[Posterior, float]:
         if weight > 0
     )
     return replace(posterior, parts=parts, meta={**posterior.meta, "p_stands_before": share}), share
-
-
-def _standing(part: StructurePosterior) -> np.ndarray:
-    """Return (chains, draws) bool: which draws stand."""
-    chains, draws = part.log_density.shape
-    return np.array(
-        [[Equilibrium(matter_of_graph(part.graph_at(c, d))).stands for d in range(draws)] for c in range(chains)]
-    )
 
 
 def _kept(part: StructurePosterior, mask: np.ndarray) -> StructurePosterior:

@@ -65,9 +65,10 @@ def next_views(
     if not sizes_of(best):
         raise DerenderError("there is nothing that another look could tell more of", remedy="infer a scene with solids")
     graphs = posterior.graphs(rng, DRAWS)
+    drawn = [graph.structure() for graph in graphs]
     targets = {
         "sizes": size_table(best, graphs),
-        "structure": structure_table(posterior, graphs),
+        "structure": np.array([[float(each == part.graph.structure()) for each in drawn] for part in posterior.parts]),
         "stable": np.array([[float(Equilibrium(matter_of_graph(graph)).stands) for graph in graphs]]),
     }
     floors = {"sizes": KNOWN, "structure": SURE, "stable": SURE}
@@ -100,12 +101,6 @@ def size_table(best: SceneGraph, graphs: Sequence[SceneGraph]) -> np.ndarray:
     table = np.array([[sizes.get(name, np.nan) for sizes in found] for name in sizes_of(best)])
     means = [np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else 0.0 for row in table]
     return np.where(np.isfinite(table), table, np.array(means)[:, None])
-
-
-def structure_table(posterior: Posterior, graphs: Sequence[SceneGraph]) -> np.ndarray:
-    """Return (parts, n) 1 where a scene has the structure of a part, else 0."""
-    keys, drawn = [part.graph.structure() for part in posterior.parts], [graph.structure() for graph in graphs]
-    return np.array([[float(each == key) for each in drawn] for key in keys])
 
 
 def candidates(graph: SceneGraph) -> list[tuple[np.ndarray, float, float, float]]:

@@ -88,7 +88,10 @@ def simulate_scene(
         raise DerenderError(f"duration is {duration!r}", None, f"give seconds, at most {LONGEST:g}")
     if what is None:
         what = intervention(**acts)
-    matter, axes = (scene, upright_axes(scene)) if isinstance(scene, Matter) else _of_graph(scene, rng)
+    if isinstance(scene, Matter):
+        matter, axes = scene, upright_axes(scene)
+    else:
+        matter, axes = matter_of_graph(scene, rng), np.asarray(scene.root_pose, dtype=float)[:3, :3]
     matter = what.apply(matter, axes, np.random.default_rng(0) if rng is None else rng)
     for body in matter.bodies:
         numbers = [*np.ravel(body.pose), *body.size, body.mass or 0.0, *body.velocity, *body.angular_velocity]
@@ -224,10 +227,6 @@ def _may_yet_rest(trajectory: Trajectory) -> bool:
     return bool(np.all(moved < FAR * np.cbrt(np.prod(trajectory.sizes, axis=1))))
 
 
-def _of_graph(graph: SceneGraph, rng: np.random.Generator | None) -> tuple[Matter, np.ndarray]:
-    return matter_of_graph(graph, rng), np.asarray(graph.root_pose, dtype=float)[:3, :3]
-
-
 # Bodies that are so many times longer than wide are needles: their verdicts hang on the last tenth of a millimetre.
 NEEDLE = 200.0
 
@@ -314,7 +313,8 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
         found["p_falls"][body.name] = falls.probability if there else None
         found["p_falls_error"][body.name] = falls.error if there else None
     if all(len(run.by_engine) > 1 for run in runs):
-        found["p_engines_agree"] = float(np.mean([_agree(run) for run in runs]))
+        stand = [[word == STANDS for word in run.by_engine.values()] for run in runs]
+        found["p_engines_agree"] = float(np.mean([first == second for first, second in stand]))
     if best.trajectory is not None:
         last = best.trajectory.poses[-1]
         found["resting"] = best.trajectory.resting
@@ -340,8 +340,3 @@ def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     words = {"fallen": " ".join(found["fallen"]), "assumed": "; ".join(found["assumed"])}
     words |= {f"p_verdict_{word}": found["p_verdict"][word] for word in (SETTLES, FALLS)}
     return row | words | dict(found["engines"])
-
-
-def _agree(run: Outcome) -> bool:
-    """Return whether both engines say that it stands, or both that it does not."""
-    return (run.by_engine["mujoco"] == STANDS) == (run.by_engine["statics"] == STANDS)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.physics.balance import BALANCED, equilibrium, greatest, least_push
+from derender.physics.balance import BALANCED, MOST_MARGIN, equilibrium, greatest, least_push
 from derender.physics.bodies import KINDS, Body, Matter, clamped_masses, pair_frictions
 from derender.scene.contact_points import across, all_contacts
 
@@ -22,11 +22,6 @@ WIDEST_GAP, WIDEST_GAP_METRES = 0.2, 0.01
 FLUSH, FLUSH_METRES = 0.1, 0.005
 # Resistance to rolling, in units of the smallest extent: the half width of the patch on which a ball rests.
 ROLLING = 0.01
-MOST_MARGIN = 4.0
-"""Accelerations beyond this many g are not looked at."""
-WAYS = 16
-"""Directions around the circle in which a margin is confirmed: it is at most 2 % too great."""
-WITHIN = 2e-3
 
 
 class Contacts(NamedTuple):
@@ -115,21 +110,14 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
 class Equilibrium:
     """The forces of a scene's contacts, ready to be balanced.
 
-    Parameters
-    ----------
-    matter : the scene. contacts : where it touches; found where not given.
-
-    Attributes
-    ----------
     residual : (B, 6) what cannot be balanced of each moving body's force and moment, in units of its weight (and its
         weight times its size).
     entered : the pairs of solids that enter each other so deep that no rigid bodies can be so.
     stands : whether there are none of either.
     """
 
-    def __init__(self, matter: Matter, contacts: Contacts | None = None) -> None:
-        self.matter = matter
-        self.contacts = find_contacts(matter) if contacts is None else contacts
+    def __init__(self, matter: Matter) -> None:
+        self.matter, self.contacts = matter, find_contacts(matter)
         bodies = matter.bodies
         self.moving = [index for index, body in enumerate(bodies) if body.moves]
         place = np.full(len(bodies), -1, dtype=np.int64)
@@ -167,7 +155,7 @@ class Equilibrium:
         if not self.moving or not np.any(self.down):
             return MOST_MARGIN, None
         axes = np.array(across(self.down))
-        least, way = least_push(self.parts, self.load, self._memory, axes, MOST_MARGIN, WAYS, WITHIN)
+        least, way = least_push(self.parts, self.load, self._memory, axes)
         return float(least), _triple(-way)
 
     def forces(self) -> list[ContactForce]:

@@ -274,7 +274,7 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
 def _on_rules(section: Section, parents: list[str], child: str) -> tuple[ContactRule, ...]:
     """Read `on`: every exact contact by which the child can rest on the parent's top is as likely as another."""
     rules = []
-    for rule in read_rules(section, fill=True):
+    for rule in read_rules(section):
         pairs = [contacts[rule.type].choices(shapes[parent], shapes[child]) for parent in parents]
         counts = [sum(on == "+z" for on, _ in each) for each in pairs]
         rules.append(replace(rule, weight=float(max(1, *counts, 1))))

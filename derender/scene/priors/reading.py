@@ -160,7 +160,7 @@ def _option(key: str, node: Node, folder: Path) -> Any:
     return node.plain()
 
 
-def read_rules(node: Node, name: str | None = None, fill: bool = True) -> tuple[ContactRule, ...]:
+def read_rules(node: Node, name: str | None = None) -> tuple[ContactRule, ...]:
     """Read one contact of an open-universe prior: a rule, or for `on` one for each way to rest on the parent's top."""
     if not isinstance(node, Section):
         if node.plain() is not None:
@@ -174,7 +174,7 @@ def read_rules(node: Node, name: str | None = None, fill: bool = True) -> tuple[
     weight = node["weight"].number(lower=0.0, upper=1e6) if "weight" in node else 1.0
     on, by = (read_face(node.get(key)) for key in ("parent_face", "child_face"))
     on = TOP if kind == ON and on is None else on
-    rule = ContactRule(kind, weight, on, by, values, parents, children, fill, {**places, "": node})
+    rule = ContactRule(kind, weight, on, by, values, parents, children, True, {**places, "": node})
     return tuple(replace(rule, type=each) for each in RESTING) if kind == ON else (rule,)
 
 
