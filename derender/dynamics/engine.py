@@ -70,8 +70,6 @@ class Material(NamedTuple):
 class Engine:
     """A world whose state and material can be set.
 
-    Parameters
-    ----------
     matter : bodies and gravity; those in `names` move, all others are fixed.
     names : N of the moving bodies.
     interval : seconds that `advance` advances by. coarser : times that its steps are as long as usual.

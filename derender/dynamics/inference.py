@@ -122,8 +122,6 @@ def log_marginal(
 ) -> tuple[float, np.ndarray]:
     """Return the log likelihood with the unknowns integrated out, linear about a path, and their precision.
 
-    Parameters
-    ----------
     derivatives : of the residuals, about this path or one near by.
     held : whether the material's coordinates are held where they are; otherwise they are integrated out too.
     """

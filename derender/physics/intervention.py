@@ -93,8 +93,6 @@ AXES = ("x", "y", "z")
 class Intervention(NamedTuple):
     """What is done to a scene before and while it is simulated; directions are in the root's axes.
 
-    Attributes
-    ----------
     pushes : from the start.
     remove : names of bodies taken away. add : bodies (name, kind, size (3,), what they stand on, (x, y) metres off its
         middle) each.

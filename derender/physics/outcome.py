@@ -274,8 +274,6 @@ COLUMNS = (
 def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], missed: float = 0.0) -> dict[str, Any]:
     """Return what `derender simulate --json` prints of a scene.
 
-    Parameters
-    ----------
     best : of the most probable scene. runs : of the draws; the scene's own alone where it is certain.
     assumed : sentences. missed : see `chance_of`.
     """

@@ -309,9 +309,7 @@ def all_contacts(
     near, wide : metres of gap up to which a pair touches, and one that the graph joins; flush : as in `touch`, for
     each of these two kinds; patch : see `feature`.
 
-    Returns
-    -------
-    first, second (P,) int64, point, normal (P, 3) : the normal points from the second body to the first ; gap (P,).
+    Returns first, second (P,) int64, point, normal (P, 3), from the second body to the first, and gap (P,) metres.
     """
     count = len(kind)
     radius = np.empty(count)  # of a ball around each piece

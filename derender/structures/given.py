@@ -283,9 +283,7 @@ def infer_scene(
     progress : called with the fraction that is done and a word on what is being done.
     warn : called with a line on what makes it slow.
 
-    Raises
-    ------
-    DerenderError : a prior of open structure, nothing unknown, a fault in the mixture, a checkpoint of another run.
+    Raises DerenderError : an open prior, nothing unknown, a fault in the mixture, a checkpoint of another run.
     """
     settings, options = settings or Settings(), options or Options()
     seed, method = options.seed or 0, options.method

@@ -131,9 +131,7 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     sources : paths. camera : a camera file; default camera.json beside the frames. depth_scale : millimetres a unit.
     fps : frames a second; goes before what the camera file says.
 
-    Raises
-    ------
-    DerenderError : no frame, frames of different sizes, time that runs backwards, and whatever is wrong with a frame.
+    Raises DerenderError : no frame, frames of several sizes, time that runs backwards, whatever is wrong with a frame.
     """
     files = frame_files(sources)
     where = ", ".join(map(str, sources)) or "the film"

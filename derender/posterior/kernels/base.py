@@ -125,9 +125,7 @@ def mixture(
 
     entries : such as [{"resimulate": {"weight": 0.2}}, {"drift": None}].
 
-    Raises
-    ------
-    DerenderError : unknown kernel or option, a weight that is not a number from 0 up, a mixture that moves nothing.
+    Raises DerenderError : unknown kernel or option, a weight that is no number from 0 up, a mixture that moves nothing.
     """
     parts = []
     for entry in entries:

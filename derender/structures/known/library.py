@@ -101,10 +101,8 @@ class Known:
 def read_library(path: str | Path) -> tuple[Known, ...]:
     """Read a library of known objects.
 
-    Raises
-    ------
-    DerenderError : with file, line and address; a distribution where a number is needed; a mesh that is missing, has
-        too many triangles, or is metres long (it was written in millimetres: give scale: 0.001).
+    Raises DerenderError : with file, line and address; a distribution where a number is needed; a mesh that is missing,
+        has too many triangles, or is metres long (it was written in millimetres: give scale: 0.001).
     """
     top = read_yaml(path).allow("derender", "known")
     if "known" not in top:
