@@ -24,9 +24,9 @@ RIM = 40  # pixels of a piece that may be the inside or the outside of another
 # what returned nothing, how much higher one, and how much wider both together.
 CLOSE, SAME_TOP, WIDER = 0.6, 0.2, 1.6
 BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
-# Most times the pieces' outlines, seen from above, that their common outline may hold, and most times as deep as wide
-# that it may be as the camera sees it: two mugs, one behind the other, are twice as deep.
-FILLED, DEEPER = 1.5, 1.4
+# Most times as deep as wide that both together may be as the camera sees them: two mugs, one behind the other, are
+# twice as deep; and least of its width by which the middle of the farther one lies farther than its sides.
+DEEPER, HOLLOW = 1.4, 0.1
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -167,8 +167,8 @@ def two_sides(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool
 def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
     """Return whether two pieces (K, 3) are the outside and the inside of one thing: a mug's, with its rim unseen.
 
-    They are close, one behind the other as the camera sees them, equally wide and high, and complement each other
-    seen from above: their common outline holds hardly more than theirs do, and is about as wide as it is deep.
+    They are close, one behind the other as the camera sees them, equally wide and high, about as wide together as they
+    are deep, and the farther one is hollow.
     """
     middle, other = first[:, :2].mean(axis=0), second[:, :2].mean(axis=0)
     away, apart = 0.5 * (middle + other) - origin[:2], other - middle
@@ -184,7 +184,11 @@ def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
     square = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
     if square.min() > (CLOSE * narrow) ** 2:
         return False
-    return outline_area(np.vstack([first, second])) < FILLED * (outline_area(first) + outline_area(second))
+    farther = second if away @ apart > 0.0 else first
+    far, aside = sight @ farther[:, :2].T
+    half = 0.5 * np.ptp(aside)
+    bent = np.column_stack([np.ones_like(aside), aside, ((aside - aside.mean()) / half) ** 2, farther[:, 2]])
+    return bool(-np.linalg.lstsq(bent, far, rcond=None)[0][2] > HOLLOW * 2.0 * half)
 
 
 def outline_area(points: np.ndarray) -> float:

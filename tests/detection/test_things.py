@@ -586,6 +586,7 @@ def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
     assert not one_rim(outside, small, camera)  # something narrow as high as it, close behind it
     assert not one_rim(outside, outside + [0.09, 0.0, 0.0], camera)  # beside it
     assert not one_rim(outside, inside + [0.0, 0.1, 0.0], camera)  # behind it
+    assert not one_rim(outside, outside + [0.0, 0.06, 0.0], camera)  # another one's outside, close behind it
     assert not one_rim(outside, inside + [0.0, 0.0, 0.05], camera)  # higher
     bowl, apart = [2.0, 2.0, 1.0], [0.0, 0.02, 0.0]
     assert one_rim(outside * bowl - apart, inside * bowl + apart, camera)  # its bottom is too low to be told
