@@ -19,9 +19,10 @@ from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of, without_thing
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import body_hypotheses, box_about, bridged, label_bodies
-from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
+from derender.detection.search.greedy import Settings, Task, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import Hypothesis
+from derender.detection.search.searches import Climb, merged
 from derender.detection.segments import two_sides
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
@@ -62,7 +63,7 @@ def leftovers(
     The image is changed as by `take_things`. What seems to be a seam along a silhouette stays as it is, with how
     probable it is an object after all.
     """
-    image, found, clutter, seams = seen.image, [], [], []
+    image, before, found, clutter, seams = seen.image, len(state), [], [], []
     if settings.temper == 1.0 or not seen.mask.any():
         return seen, state, found, clutter
     depth, _, misfit, _ = held_out(image, state, -1)
@@ -103,6 +104,10 @@ def leftovers(
                 continue
         (found if exists else clutter).append(mask)
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
+    if len(state) > before:  # at the price that they were asked
+        climb = Climb(rng, Task(image, settings._replace(price=settings.temper * LEFT_PRICE)), state)
+        while any(map(climb.takes, merged(climb))):
+            state = climb.state
     return seen._replace(clutter=tuple(seams)), state, found, clutter
 
 

@@ -4,10 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from table_scenes import CAMERA, TABLE, seen_on_the_table
 
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate
+from derender.detection.leftovers import leftovers
+from derender.detection.search.greedy import Settings, Task
+from derender.detection.search.moves import parted_pairs
+from derender.detection.search.observation import observe
 from derender.detection.search.proposals import rim_circle
+from derender.detection.search.searches import Climb, merged
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names
 from derender.detection.solids.image import make_row
@@ -15,7 +21,7 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
-from derender.scene.solids import BOX
+from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import all_seen, of_one_solid
 from derender.structures.changes import changes, still_bears
 from derender.structures.draws.chart import HELD, make_chart
@@ -115,3 +121,23 @@ def test_pieces_on_both_sides_of_what_hides_it_are_one_box(seed):
     state, _ = point_estimate(np.random.default_rng(seed), image, camera)
     assert len(state) == 3
     assert sorted(state.parents).count(FLOOR) == 2
+
+
+def test_the_two_ends_of_what_another_hides_the_middle_of_are_one():
+    """A can that lay behind a carton was a ball and a can, for sure."""
+    bar, carton = (0.24, 0.06, 0.06), (0.08, 0.05, 0.16)
+    seen = observe(seen_on_the_table([(BOX, 0.0, 0.03, bar, None), (BOX, 0.0, -0.05, carton, None)]), CAMERA)
+    image, (_, y, _) = seen.image, (np.linalg.inv(seen.floor.pose) @ TABLE)[:3, 3]
+    ends = solid(SPHERE, -0.09, y + 0.03, (0.07,) * 3, 0.0), solid(BOX, 0.08, y + 0.03, (0.08, 0.06, 0.06), 0.0)
+    before = on_the_floor(*((row, False) for row in ends))
+    state = before.add(solid(BOX, 0.0, y - 0.05, carton, 0.0), UPRIGHT, False, FLOOR, 0.0)
+    assert parted_pairs(image, before) == []  # nothing hides what would join them
+    assert parted_pairs(image, state) == [(0, 1), (1, 0)]
+    climb = Climb(np.random.default_rng(0), Task(image, Settings()), state)
+    assert any(map(climb.takes, merged(climb)))
+    seen, settings = seen._replace(correlation=0.9), Settings().for_pixels(60.0)  # one end is small, and left over
+    _, other, *_ = leftovers(np.random.default_rng(0), seen, state.without(0), settings)
+    for found in (climb.state, other):
+        whole, front = sorted(found.rows.tolist(), key=lambda row: row[15])
+        assert whole[13:16] == pytest.approx(bar, abs=0.005)
+        assert front[13:16] == pytest.approx(carton, abs=0.005)

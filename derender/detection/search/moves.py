@@ -11,9 +11,9 @@ import numpy as np
 
 from derender.detection.search.bodies import FEWEST, body_hypotheses
 from derender.detection.search.greedy import Changed, Task, complexity, cube_of, greedy
-from derender.detection.search.places import Places, guesses, pick
+from derender.detection.search.places import MISFIT, Places, guesses, pick
 from derender.detection.search.proposals import THINNEST, Hypothesis
-from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE, GUESSED, MOVED, UPRIGHT, turn
 from derender.detection.solids.state import FLOOR, State, held_out, polish_solid, run_polish
@@ -28,6 +28,7 @@ TOUCH = 0.004  # metres between boxes whose union may be cut in another way
 NEARLY = 0.1  # of the mean side, by which those of what may be a cube differ from it
 LEVEL = 0.004  # metres between tops that may be of one solid
 FLUSH = 0.02  # metres by which the sides of such pieces may differ
+NOTHING = -2  # what no depth or nothing known explains, among numbers of solids
 
 
 def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed:
@@ -132,6 +133,36 @@ def may_be_one(row: np.ndarray, other: np.ndarray) -> bool:
     gap = np.maximum(low - half, -half - high)
     along = (2,) if kind == CYLINDER else (0, 1, 2)
     return any(flush[k - 1] and flush[k - 2] and gap[k] < HIDDEN for k in along)
+
+
+def parted_pairs(image: Image, state: State) -> list[tuple[int, int]]:
+    """Return the ordered pairs of solids, as low and as high as each other, that may be the ends of one because another
+    hides what is between: each end, seen for itself, may be a ball, a can or a box."""
+    low, high = (np.array([of(row) for row in state.rows]) for of in (lowest, highest))
+    level = np.maximum(abs(low[:, None] - low), abs(high[:, None] - high)) < FLUSH
+    pairs = np.argwhere(level & ~np.eye(len(state), dtype=bool)).tolist()
+    if not pairs:
+        return []
+    _, label, misfit, _ = held_out(image, state, -1)
+    label = np.where((image.weight > 0) & ((label >= 0) | (misfit < MISFIT)), label, NOTHING)
+    return [(i, j) for i, j in pairs if hidden_between(image.depth, label, i, j)]
+
+
+def hidden_between(depth: np.ndarray, label: np.ndarray, i: int, j: int) -> bool:
+    """Return whether an image (H, W) has something nearer between two solids, and nowhere what is farther.
+
+    label : (H, W) int, the solid that each pixel shows; -1: what is behind them all; NOTHING: that is not known.
+    """
+    ends = [label == k for k in (i, j)]
+    if min(end.sum() for end in ends) < FEWEST:
+        return False
+    middles = [np.argwhere(end).mean(axis=0) for end in ends]
+    way = np.linspace(*middles, int(np.ceil(np.ptp(middles, axis=0).max())) + 1)
+    at = tuple(np.rint(way).astype(int).T)
+    between, there = label[at], depth[at]
+    others = (between >= 0) & (between != i) & (between != j)
+    farther = there >= min(np.median(depth[end]) for end in ends)
+    return bool(others.any() and not (farther & others).any() and (between != -1).all())
 
 
 def extents_along(row: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,6 +30,7 @@ from derender.detection.search.moves import (
     aligned_pairs,
     appear_on,
     merge_pair,
+    parted_pairs,
     polished,
     propose,
     put_under,
@@ -445,6 +446,9 @@ def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
 
 def merged(climb: Climb) -> Iterator[Changed]:
     """Yield the state with each two that may be one solid as one, grown where they differ most or along all axes."""
-    for i, j in aligned_pairs(climb.state):
+    state = climb.state
+    for i, j in aligned_pairs(state):
         for spread in ((False, False, False), (True, True, True)):
-            yield merge_pair(climb.rng, climb.task, climb.state, i, j, spread)
+            yield merge_pair(climb.rng, climb.task, state, i, j, spread)
+    for i, j in parted_pairs(climb.task.image, state):
+        yield merge_pair(climb.rng, climb.task, state, i, j, (False, False, False))
