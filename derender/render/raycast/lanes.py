@@ -21,6 +21,7 @@ from derender.render.raycast.lane_names import LANES
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
 INTEGERS = ir.VectorType(ir.IntType(32), LANES)
+WIDE_APART = 12.0  # logarithms of two densities of which the lesser is 6e-6 of their sum: ten roundings of a score
 
 
 class _LanesType(types.Type):
@@ -277,14 +278,23 @@ def logarithm(builder, x):
 
 @_emitted(float_lanes, float_lanes)
 def log_of_sum(builder, a, b):
-    """log(e^a + e^b), absolute error 2e-7 beside that of the greater."""
+    """log(e^a + e^b), absolute error 2e-7 beside that of the greater, which alone counts where they are more than
+    WIDE_APART apart: a third of the time where all sixteen are."""
     larger = builder.select(builder.fcmp_ordered(">", a, b), a, b)
-    e = _exponential(builder, builder.fneg(_call(builder, "fabs", builder.fsub(a, b))))
-    p = _constant(-6.4526113070e-3)  # log(1 + e) / e for e from 0 to 1, the greatest error of log(1 + e) least
-    for term in (3.6084514068e-2, -9.5322480205e-2, 1.6764784363e-1, -2.4073074841e-1, 3.3179825164e-1,
-                 -4.9987404449e-1, 9.9999642353e-1):  # fmt: skip
-        p = _multiply_add(builder, p, e, _constant(term))
-    return _multiply_add(builder, p, e, larger)
+    apart = _call(builder, "fabs", builder.fsub(a, b))
+    wide = builder.fcmp_unordered(">", apart, _constant(WIDE_APART))  # NaN, too: padding, whatever comes of it
+    mask, begin = ir.IntType(LANES), builder.block
+    with builder.if_then(builder.icmp_unsigned("!=", builder.bitcast(wide, mask), ir.Constant(mask, -1))):
+        e = _exponential(builder, builder.fneg(apart))
+        p = _constant(-6.4526113070e-3)  # log(1 + e) / e for e from 0 to 1, the greatest error of log(1 + e) least
+        for term in (3.6084514068e-2, -9.5322480205e-2, 1.6764784363e-1, -2.4073074841e-1, 3.3179825164e-1,
+                     -4.9987404449e-1, 9.9999642353e-1):  # fmt: skip
+            p = _multiply_add(builder, p, e, _constant(term))
+        closely, end = builder.select(wide, larger, _multiply_add(builder, p, e, larger)), builder.block
+    result = builder.phi(FLOATS)
+    result.add_incoming(larger, begin)
+    result.add_incoming(closely, end)
+    return result
 
 
 class _WindowType(types.Type):
