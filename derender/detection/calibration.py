@@ -9,9 +9,9 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.camera.windows import grown, shrunk
-from derender.detection.floor import rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
+from derender.detection.rounding import least_step
 from derender.detection.solids.beliefs import any_sensor, log_prior_of
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
@@ -64,7 +64,9 @@ def residuals(depth: np.ndarray, camera: Camera, name: str) -> tuple[np.ndarray,
     if np.nanstd(residual) < LEAST_NOISE:
         what = f"the table shows no noise ({1e6 * np.nanstd(residual):.2g} micrometres)"
         raise DerenderError(what, name, "give frames of a real sensor, as it writes them")
-    within = rounding_of(depth) * (np.random.default_rng(0).random(depth.shape) - 0.5)  # one frame has one residual
+    within = least_step(np.unique(depth[seen])) * (
+        np.random.default_rng(0).random(depth.shape) - 0.5
+    )  # one frame has one residual
     return residual + within, np.where(np.isfinite(plane), plane, 0.0)
 
 

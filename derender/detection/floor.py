@@ -392,25 +392,22 @@ def local_noise(depth: np.ndarray, camera: Camera) -> float:
     return float(np.median(np.sqrt(error[fitted]) / np.maximum(slope, GRAZING)))
 
 
-def rounding_of(depth: np.ndarray) -> float:
-    """Return the metres to which a depth image (H, W) was rounded: the smallest step between some of its values."""
-    seen = depth[depth > 0]
-    steps = np.diff(np.sort(seen[:: max(1, len(seen) // 4000)]))
-    return float(min(steps[steps > 1e-9], default=0.0))
-
-
-def drawn(depth: np.ndarray, floor: Floor, camera: Camera, rounding: float) -> bool:
-    """Return whether an image shows its floor to within its own rounding: no sensor does, a renderer without noise.
+def drawn(depth: np.ndarray, floor: Floor, camera: Camera) -> bool:
+    """Return whether an image shows its floor to within the fit's own fault: no sensor does, a renderer without noise.
 
     Neighbouring pixels are then off by the same, which would pass for a real sensor's bends.
     """
+    return share_within(depth, floor, camera, SUREST / 5) > 0.99
+
+
+def share_within(depth: np.ndarray, floor: Floor, camera: Camera, metres: float | np.ndarray) -> float:
+    """Return the share of the pixels of the floor's near half that are off it by so many metres, of each, at most."""
     if not floor.inliers.any():
-        return False
+        return 0.0
     normal = floor.pose[:3, 2]
     plane = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
     near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
-    met = np.abs(depth - plane)[near] <= max(0.6 * rounding, SUREST / 5)  # half a step, and the fit's own fault
-    return bool(met.mean() > 0.99)
+    return float((np.abs(depth - plane) <= metres)[near].mean())
 
 
 def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: Camera) -> float:

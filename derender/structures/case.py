@@ -9,6 +9,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.fattening import fattened, thinned
 from derender.detection.floor import read_floor
+from derender.detection.rounding import dithered
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Beliefs, beliefs_of
 from derender.detection.unit import unit_of
@@ -49,7 +50,9 @@ class Case(NamedTuple):
         return self.options.method == "map"
 
 
-def case_of(image: np.ndarray, camera: Camera | Mapping[str, float], options: Options) -> Case:
+def case_of(
+    rng: np.random.Generator, image: np.ndarray, camera: Camera | Mapping[str, float], options: Options
+) -> Case:
     """Return the Case of an image; frames from where its own camera stood are averaged with it."""
     from derender.structures.known.library import chosen_library
     from derender.structures.together import averaged
@@ -58,8 +61,9 @@ def case_of(image: np.ndarray, camera: Camera | Mapping[str, float], options: Op
     whole = whole_camera(camera, depth.shape)
     depth, frames = averaged(depth, whole, options.frames)
     wide = fattened(depth)
-    depth = thinned(depth) if wide else depth
+    depth = dithered(rng, thinned(depth) if wide else depth, whole)
     frames = [frame._replace(depth=thinned(frame.depth)) if fattened(frame.depth) else frame for frame in frames]
+    frames = [frame._replace(depth=dithered(rng, frame.depth, frame.camera)) for frame in frames]
     library = chosen_library(options.known) if options.known else ()
     return Case(depth, whole, frames, options, settings_of(options), library, read_floor(options.floor), wide)
 

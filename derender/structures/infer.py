@@ -48,7 +48,7 @@ def infer_structure(
 
         return infer_by_jumps(image, camera, options, None, rng, progress)
     say(0.0, "searching for solids")
-    case = case_of(image, camera, options)
+    case = case_of(rng, image, camera, options)
     unit = unit_of_lengths(case)
     if unit != 1.0:
         floor = case.plane if case.plane is None or isinstance(case.plane, str) else case.plane / [1.0, 1.0, 1.0, unit]

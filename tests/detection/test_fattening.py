@@ -77,7 +77,7 @@ def test_an_image_that_is_to_be_explained_is_thinned():
     seen = scene("edge")
     wide = fat(seen.depth)
     beside = Frame(wide, seen.camera, translation(0.1, 0.0, 0.0), "beside")
-    case = case_of(wide, seen.camera, Options(frames=(beside,)))
+    case = case_of(np.random.default_rng(0), wide, seen.camera, Options(frames=(beside,)))
     assert case.fattened
     for depth in (case.depth, case.frames[0].depth):
         np.testing.assert_array_equal(depth, thinned(wide))

@@ -27,7 +27,6 @@ from derender.detection.floor import (
     noise_map,
     pixel_noise,
     plane_through,
-    rounding_of,
     scale_of,
     sensor_deviation,
     under_its_noise,
@@ -170,7 +169,6 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
     believed : Floors of a prior; None: those of the built-in one.
     """
     believed = bare_image().loose.floor if believed is None else believed
-    rounding = rounding_of(depth)
     whole, whole_camera = depth, camera
     factor = reduced_by(whole, widest)
     sigma = pixel_noise(whole)
@@ -183,16 +181,16 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
         near = tolerance_of(seen_points[:, 2], pixel_noise(depth))
         _, at = near_plane(seen_points, near, plane.normal, plane.offset)
         candidate = Candidate(plane.normal, plane.offset, at, 0.0)
-        seen = over_candidate(depth, camera, factor, candidate, rounding, floating, others)
+        seen = over_candidate(depth, camera, factor, candidate, floating, others)
         if seen is None:
             raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     elif plane is not None:
         floor = given_floor(depth, camera, plane)
         # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
         backdrop = find_backdrop(depth, camera, believed) if isinstance(plane, str) else None
-        seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
+        seen = tell_apart(depth, camera, factor, floor, backdrop, floating, fills=fills)
     else:
-        seen = likeliest(depth, camera, factor, rounding, floating, believed)
+        seen = likeliest(depth, camera, factor, floating, believed)
     if seen.correlation <= CORRELATED and factor == 2 and reduced_by(whole, MOST_DRAWN) == 1:
         whole, _, _ = reduce(whole, whole_camera, whole.shape[1])
         return seen._replace(single=whole, single_camera=whole_camera)
@@ -202,9 +200,7 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
     return seen._replace(single=single, whole=whole if factor > 1 else None, whole_camera=whole_camera)
 
 
-def likeliest(
-    depth: np.ndarray, camera: Camera, factor: int, rounding: float, floating: bool, believed: Floors
-) -> Observation:
+def likeliest(depth: np.ndarray, camera: Camera, factor: int, floating: bool, believed: Floors) -> Observation:
     """Return the Observation over the likeliest floor of a reduced image, the others as its rivals; or without a floor.
 
     Floors that come near the first are weighed by what they explain, see `odds_among`. Only what a sensor saw is
@@ -216,7 +212,7 @@ def likeliest(
     except NoFloor:
         candidates = []
     for candidate in candidates:
-        seen = over_candidate(depth, camera, factor, candidate, rounding, floating)
+        seen = over_candidate(depth, camera, factor, candidate, floating)
         if seen is None and not found:
             break  # the likeliest comes first: where it is none there is none
         if seen is None or any((seen.floor.inliers & other.floor.inliers).sum() > SAME * seen.floor.inliers.sum()
@@ -228,7 +224,7 @@ def likeliest(
     if not found and pixel_noise(depth) >= MOST_NOISE:
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     if not found:
-        return without_floor(depth, camera, factor, rounding)
+        return without_floor(depth, camera, factor)
     odds = np.array([odds_among(seen, found, camera.gravity is not None, believed) for seen in found])
     probability = np.exp(odds - odds.max())
     probability /= probability.sum()
@@ -256,7 +252,7 @@ def odds_among(seen: Observation, found: list[Observation], level: bool, believe
     return float(prior[0] + believed.explained * np.log(max(explained, 1.0) / own.size))
 
 
-def over_candidate(depth: np.ndarray, camera: Camera, factor: int, candidate: Candidate, rounding: float,
+def over_candidate(depth: np.ndarray, camera: Camera, factor: int, candidate: Candidate,
                    floating: bool, others: np.ndarray | None = None) -> Observation | None:  # fmt: skip
     """Return the Observation of a reduced image over a Candidate, see `on_its_floor`; None where no plane fits."""
     alone = depth if others is None else np.where(others, np.nan, depth)
@@ -266,7 +262,7 @@ def over_candidate(depth: np.ndarray, camera: Camera, factor: int, candidate: Ca
             floor = fitted(alone, points, candidate, share)
             if share < 1.0 and floor.inliers.mean() < SURE_SHARE:
                 return None  # a hill is flat too where it is tried closely enough
-            return on_its_floor(depth, camera, factor, floor, rounding, floating, others)
+            return on_its_floor(depth, camera, factor, floor, floating, others)
     return None
 
 
@@ -276,7 +272,7 @@ def plane_of(floor: Floor) -> tuple[float, float, float, float]:
     return a, b, c, -float(floor.pose[:3, 2] @ floor.pose[:3, 3])
 
 
-def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, rounding: float,
+def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor,
                  floating: bool, others: np.ndarray | None = None) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
 
@@ -284,9 +280,9 @@ def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, r
 
     Raises NoFloor where what was taken as the floor is rougher than any sensor makes it.
     """
-    if not shared_by_neighbours(depth, floor, camera, rounding) > CORRELATED:
+    if not shared_by_neighbours(depth, floor, camera) > CORRELATED:
         floor = under_its_noise(floor, depth, camera)
-    seen = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
+    seen = tell_apart(depth, camera, factor, floor, None, floating, others)
     if seen.correlation <= CORRELATED:
         return seen
     bend = bend_of(depth, floor, camera)
@@ -299,34 +295,34 @@ def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, r
         floor = floor_beside(floor, depth, camera, seen.mask)
     if floor.sigma > ROUGHEST * sensor_deviation(float(np.median(depth[floor.inliers]))):
         raise NoFloor("no plane is one that things could stand on")
-    straight = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
+    straight = tell_apart(depth, camera, factor, floor, None, floating, others)
     # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
     return straight._replace(bend=bend, correlation=seen.correlation)
 
 
-def shared_by_neighbours(depth: np.ndarray, floor: Floor, camera: Camera, rounding: float) -> float:
-    """Return the correlation of neighbouring pixels' noise, see `Observation`. rounding : metres, see `rounding_of`."""
-    return 0.0 if drawn(depth, floor, camera, rounding) else neighbour_correlation(depth, floor, camera)
+def shared_by_neighbours(depth: np.ndarray, floor: Floor, camera: Camera) -> float:
+    """Return the correlation of neighbouring pixels' noise, see `Observation`."""
+    return 0.0 if drawn(depth, floor, camera) else neighbour_correlation(depth, floor, camera)
 
 
-def without_floor(depth: np.ndarray, camera: Camera, factor: int, rounding: float) -> Observation:
+def without_floor(depth: np.ndarray, camera: Camera, factor: int) -> Observation:
     """Return the Observation of an image without a plane that could be the floor: all is background as it is seen."""
-    seen = tell_apart(depth, camera, factor, given_floor(depth, camera, "none"), None, rounding)
+    seen = tell_apart(depth, camera, factor, given_floor(depth, camera, "none"), None)
     off = seen.image.weight > 0
     seen.image.floor[off] = seen.image.depth[off]
     return seen._replace(mask=np.zeros_like(off), behind=off, background=1.0, no_floor=True, correlation=1.0)
 
 
-def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, backdrop: Any, rounding: float,
+def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, backdrop: Any,
                floating: bool = False, others: Any = None, fills: bool = False) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
-    backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
+    backdrop : what find_backdrop says, None for nothing.
     others : (h, w) bool, what another floor explains: background of this one; None: nothing. fills : see `observe`.
     """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
-    correlation = shared_by_neighbours(depth, even, camera, rounding)
+    correlation = shared_by_neighbours(depth, even, camera)
     own = np.sqrt(1.0 - np.clip(correlation, 0.0, MOST_SHARED))  # noise that neighbours share hides no leak
     blur = estimate_blur(depth, own * sigma)
     if correlation > CORRELATED:
