@@ -36,6 +36,8 @@ class Motion(NamedTuple):
     poses: np.ndarray  # (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen; of balls
     # the axes are those of the frame
     covariances: np.ndarray
+    # (T, N, 6, K) by which all poses of all frames are off together, in the same numbers: times K standard normal ones
+    shared: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
@@ -78,13 +80,18 @@ class Motion(NamedTuple):
 
 
 def motion_of(
-    matter: Matter, names: tuple[str, ...], times: np.ndarray, poses: np.ndarray, covariances: np.ndarray
+    matter: Matter,
+    names: tuple[str, ...],
+    times: np.ndarray,
+    poses: np.ndarray,
+    covariances: np.ndarray,
+    shared: np.ndarray | None = None,
 ) -> Motion:
     """Check tracked poses, and return those of the bodies that moved or may have been struck by one that did.
 
     All others stand fixed where they were first seen.
 
-    matter, names, times, poses, covariances : as in `Motion`, of all tracked bodies.
+    matter, names, times, poses, covariances, shared : as in `Motion`, of all tracked bodies; shared None: nothing.
 
     Raises DerenderError : for fewer than three frames, times that do not rise evenly, or a covariance that is none.
     """
@@ -122,6 +129,7 @@ def motion_of(
         times,
         poses[:, moving],
         spread[:, moving],
+        np.zeros((len(times), len(moving), 6, 0)) if shared is None else np.nan_to_num(shared[:, moving]),
     )
 
 

@@ -321,7 +321,8 @@ class Shooting(Impacts):
                 weight = weight / np.sqrt(doubts.poses[shown, k])[:, None]
             each = np.arange(len(shown))
             covariance[each, :, each] += weight[:, :, None] * self.spread[shown, k] * weight[:, None]
-            factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
+            shared = self.motion.shared[shown, k].reshape(6 * len(shown), -1)
+            factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1) + shared @ shared.T)
             factors.append(factor)
             total += float(np.sum(np.log(np.diag(factor))))
         self._add_blows(defects, path, scales.impact, doubts.blows if doubts else np.ones(len(self.blows)))

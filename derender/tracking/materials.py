@@ -14,6 +14,7 @@ from derender.dynamics.shooting import RESTS
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter
 from derender.scene.pose import inverse
+from derender.tracking.path import errors_of
 from derender.tracking.result import with_materials
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
@@ -62,8 +63,13 @@ def motion_of_track(track: Track) -> Motion:
     turns[..., :3, :3] = back[:, None, :3, :3]
     turns[..., 3:, 3:] = np.swapaxes(track.poses[:, chosen, :3, :3], -1, -2)
     covariances = turns @ track.covariances[:, chosen] @ np.swapaxes(turns, -1, -2)
+    shared = None
+    if track.view_factor.size:  # where the camera is elsewhere, things are so the other way: by its shift and its turn
+        follow = np.tile(-np.eye(6), (len(track.times), len(chosen), 1, 1))
+        follow[..., :3, 3:] = np.cross(np.eye(3), np.nan_to_num(track.poses[:, chosen][:, :, None, :3, 3]))
+        shared = turns @ follow @ errors_of(track.view_factor)[:, None]
     matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
-    return motion_of(matter, tuple(names), track.times, poses, covariances)
+    return motion_of(matter, tuple(names), track.times, poses, covariances, shared)
 
 
 def _held(track: Track, centres: np.ndarray) -> set[str]:

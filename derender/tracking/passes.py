@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.normal_equations import cost
@@ -24,6 +25,7 @@ from derender.scene.pose import inverse, moved
 from derender.tracking.contact import gaps_of
 from derender.tracking.drawing import DEVIATION
 from derender.tracking.fit import RIGID
+from derender.tracking.path import change_between, smooth_path
 from derender.tracking.thing import GONE, LOST, MOVING, STILL, Start
 from derender.tracking.track import Recorder, Track
 from derender.tracking.tracker import is_quiet, rotation_between
@@ -157,6 +159,9 @@ GROWTH = 0.003  # metres that a size changes by in one frame's fit
 # it is no outline tells then: a foot that sinks changes no image, one that rises shows a gap, which noise now and then
 # fits, and over a film heights became .5 to .9 mm too small. They are held, within so many metres.
 FOOT, LEVEL, HELD = 0.003, 0.998, 1e-5
+# Frames from a motion within which what is taken to rest tells nothing of the camera: it begins and stops by less than
+# one frame shows, and the camera would follow it.
+DOUBTED = 3
 
 
 class Fit(NamedTuple):
@@ -175,7 +180,7 @@ class Smoother:
     """
 
     def __init__(self, found: Pass, frames: Any) -> None:
-        self.tracker, self.rows, self.frames = found.forward.tracker, found.rows(), frames
+        self.tracker, self.rows, self.frames, self.anchor = found.forward.tracker, found.rows(), frames, found.anchor
         known = found.start.things
         self.known = [*known, *(thing.copy() for thing in self.tracker.things[len(known) :])]
         shape = len(self.rows), len(self.known)
@@ -186,13 +191,16 @@ class Smoother:
                 if seen.states[k] in (STILL, MOVING):
                     self.poses[t, k], self.states[t, k] = inverse(seen.view) @ seen.poses[k], seen.states[k]
         self.movers = np.flatnonzero((self.states == MOVING).any(axis=0)).tolist()
-        self.before = [self._as_followed(t) for t in range(len(self.rows))] if self.movers else []
+        self.mended = len(self.rows) > 1 and (bool(self.movers) or self.tracker.moving_camera)
+        self.before = [self._as_followed(t) for t in range(len(self.rows))] if self.mended else []
 
     def smooth(self) -> None:
         """Do all sweeps, and write what they find into the recorder's frames."""
-        if not self.movers:
+        if not self.mended:
             return
         for number in range(SWEEPS):
+            if self.tracker.moving_camera:
+                self._find_views()
             order = range(len(self.rows))
             fits: list[dict[int, Fit]] = [{} for _ in order]
             for t in order[:: 1 - 2 * (number % 2)]:
@@ -208,11 +216,30 @@ class Smoother:
                     self._grow(k, mine)
         for t, (_, recorder, n) in enumerate(self.rows):
             change, seen = self._place(t) - self.before[t], recorder.seen[n]
-            for k in self.movers:
-                if self.states[t, k] != GONE:
-                    seen.poses[k], seen.states[k] = seen.view @ self.poses[t, k], self.states[t, k]
-                    recorder.sizes[n][k] = self.tracker.things[k].size
+            for k in np.flatnonzero(self.states[t] != GONE).tolist():
+                seen.poses[k], seen.states[k] = seen.view @ self.poses[t, k], self.states[t, k]
+                recorder.sizes[n][k] = self.tracker.things[k].size
             recorder.seen[n] = seen._replace(cost=seen.cost + change)
+
+    def _find_views(self) -> None:
+        """Find where the camera was in all frames; what moves stays where it was seen from there."""
+        before, told, pulled = np.diag(ROOM**-2), [], []
+        near = binary_dilation(self.states == MOVING, np.ones((2 * DOUBTED + 1, 1)))
+        rests = (self.states == STILL) & ~near
+        for t, (_, recorder, n) in enumerate(self.rows):
+            self._place(t)
+            precision = self.tracker.fit_view(np.flatnonzero(rests[t]).tolist(), before)
+            told.append(precision - before)
+            pulled.append(precision @ change_between(recorder.seen[n].view, self.tracker.view))
+        views = np.array([recorder.seen[n].view for _, recorder, n in self.rows])
+        anchor = next(i for i, (frame, *_) in enumerate(self.rows) if frame == self.anchor)
+        found = smooth_path(views, np.array(told), np.array(pulled), anchor, self.tracker.step)
+        for t, (_, recorder, n) in enumerate(self.rows):
+            moving = self.states[t] == MOVING
+            self.poses[t, moving] = inverse(found.views[t]) @ views[t] @ self.poses[t, moving]
+            recorder.seen[n] = recorder.seen[n]._replace(
+                view=found.views[t], view_factor=found.factor[:, 6 * t : 6 * t + 6]
+            )
 
     def _as_followed(self, t: int) -> float:
         """Return the cost of frame t with the sizes that its recorder took things to have then."""

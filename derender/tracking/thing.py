@@ -80,6 +80,7 @@ class Seen(NamedTuple):
     states: list[str]  # (N,) of str
     pixels: np.ndarray  # (N, 4), see fit.pixels_of
     view: np.ndarray  # (4, 4), world to camera
+    view_factor: np.ndarray  # (BAND, 6), see Track; (BAND, 0) where nothing is known
     rounds: int  # sets of normal equations
     blobs: list  # of what nothing explains
     cost: float

@@ -36,6 +36,7 @@ class Track:
     states: list[list[str]]  # T lists of N: still, moving, hidden, lost or gone
     parent_probability: np.ndarray  # (T, N, 2 + N): nothing, the floor, each thing
     views: np.ndarray  # (T, 4, 4) first camera to this one
+    view_factor: np.ndarray  # (BAND, 6 T) as `path.Views` has it; (BAND, 0) where the camera rests
     floor: np.ndarray | None  # (4, 4) to the first camera, or None
     gravity: np.ndarray  # (3,) m/s^2, first camera's axes
     rounds: np.ndarray  # (T,) sets of normal equations
@@ -183,6 +184,7 @@ class Recorder:
             np.arange(length) * tracker.step if times is None else np.asarray(times)[:length],
             list(frames or [])[:length], extents, poses, covariances, states, np.zeros(0),
             np.array([row[0].view for row in rows]) @ np.linalg.inv(first),
+            np.concatenate([row[0].view_factor for row in rows], axis=1),
             None if tracker.floor is None else first @ tracker.floor,
             first[:3, :3] @ self.gravity,
             np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,

@@ -18,6 +18,7 @@ from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import EXCESS, FEW, OFF, ROUNDS, TOLERANCE, USUAL_OFF, Drawing
 from derender.tracking.hidden import Blob, blobs_of, last_seen, one_frame_later, shifts_to
+from derender.tracking.path import BAND, CAMERA_CHANGES, CAMERA_SPEED, change_between
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
 
 WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
@@ -37,9 +38,6 @@ GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 # Nats by which a box must be better explained that is turned by a quarter from one frame to the next. One of nearly
 # equal sides that did not turn gains up to 60 so beside others; one that was taken wrongly from the first on hundreds.
 TURNED = 100.0
-# How fast a camera in a hand or on an arm moves at first, m / s and rad / s, and its accelerations, m / s^2 and
-# rad / s^2: standard deviations. What only the floor holds goes on as it did, within them.
-CAMERA_SPEED, CAMERA_CHANGES = (0.25, 0.5), (1.5, 3.0)
 WAKES = 5.0  # nats against a resting thing's beginning to move: once in some hundred frames
 QUARTERS = [from_rotation_vector(0.5 * np.pi * axis) for axis in np.eye(3)]  # by which a box resembles itself
 X, Y, Z = QUARTERS
@@ -318,18 +316,30 @@ class Tracker(Drawing):
 
     def _camera_by(self, resting: list[int]) -> "Viewpoint":
         """Return where the camera is by the floor, its own last motion and these things, which rest."""
-        index = self.planes + np.arange(len(self.things))
-        members = np.arange(len(self.kinds)) < self.planes
-        members[index[resting]] = True
-        middle = np.eye(4)
-        middle[:3, 3] = np.mean([self.things[k].pose[:3, 3] for k in resting], axis=0) if resting else [0.0, 0.0, 1.0]
         kept, self.view = self.view, self.drift @ self.view
         self.place()
-        expected, frame = self.view, self.view @ middle
-        about = np.eye(6)  # a shift of the middle and a turn about it, as those of the camera's own place
-        about[:3, 3:] = np.cross(np.eye(3), frame[:3, 3])
+        expected = self.view
         changes = np.diag(np.repeat(CAMERA_CHANGES, 3) * self.step**2) ** 2
         precision = np.linalg.inv(self.drift_spread + changes)
+        curvature = self.fit_view(resting, precision)
+        off = change_between(expected, self.view)
+        image, price, woken = self._freed()
+        price += 0.5 * float(off @ precision @ off) + narrowed(precision, curvature)
+        view, self.view = self.view, kept
+        return Viewpoint(view, np.linalg.inv(curvature), image + price, woken, price)
+
+    def fit_view(self, resting: list[int], precision: np.ndarray) -> np.ndarray:
+        """Fit the view to the floor and to things that rest, from where it is drawn, and draw all from there.
+
+        precision : (6, 6), before the image, of a shift and a turn that follow the view. Returns that after it.
+        """
+        members = np.arange(len(self.kinds)) < self.planes
+        members[self.planes + np.array(resting, int)] = True
+        middle = np.eye(4)
+        middle[:3, 3] = np.mean([self.things[k].pose[:3, 3] for k in resting], axis=0) if resting else [0.0, 0.0, 1.0]
+        frame = self.view @ middle
+        about = np.eye(6)  # a shift of the middle and a turn about it, as those of the camera's own place
+        about[:3, 3:] = np.cross(np.eye(3), frame[:3, 3])
         information = about.T @ precision @ about
         curvature, begun = information.copy(), frame.copy()
 
@@ -348,12 +358,8 @@ class Tracker(Drawing):
                 fit()
         self.view = frame @ inverse(middle)
         self.place()
-        jump = self.view @ inverse(expected)
-        off = np.concatenate([jump[:3, 3], rotation_vector(jump)])
-        image, price, woken = self._freed()
-        price += 0.5 * float(off @ precision @ off) + narrowed(information, curvature)
-        view, self.view = self.view, kept
-        return Viewpoint(view, about @ np.linalg.inv(curvature) @ about.T, image + price, woken, price)
+        back = np.linalg.inv(about)
+        return back.T @ curvature @ back
 
     def _take_off_as_usual(self) -> None:
         """Take the share of the pixels of the floor and of what rests that are off as the usual one, or near it."""
@@ -459,8 +465,8 @@ class Tracker(Drawing):
         states = [thing.state for thing in self.things]
         total = float(cost(self.misfit, self.poses, self.sizes)) + self.price_of_motion * self.start.temper
         return Seen(
-            poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs, total,
-            int(np.count_nonzero(self.observed)),
+            poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), np.zeros((BAND, 0)),
+            self.rounds, blobs, total, int(np.count_nonzero(self.observed)),
         )  # fmt: skip
 
     def add(self, thing: Thing, depth: np.ndarray) -> None:

@@ -104,6 +104,23 @@ def test_changes_of_states_go_there_and_back():
     np.testing.assert_allclose(difference(again, states)[:, :6], 0.0, atol=1e-12)
 
 
+def test_what_all_poses_are_off_by_together_is_not_taken_for_friction():
+    """A camera that was thought to be slowed slowed what it saw, and its friction was sure and wrong (slide 31015)."""
+    friction, rng = 0.3, np.random.default_rng(1)
+    seen = slide(friction, 1.5, rng, metres=5e-4, radians=5e-3)
+    shared = np.zeros((FRAMES, 1, 6, 1))
+    shared[:, 0, 0, 0] = 0.1 * (STEP * np.arange(FRAMES)) ** 2  # an acceleration of 0.2 m / s^2; that by friction is 3
+    poses = seen.poses.copy()
+    poses[:, 0, 0, 3] += shared[:, 0, 0, 0]
+    held = []
+    for each in (np.zeros((FRAMES, 1, 6, 0)), shared):
+        draws = np.random.default_rng(2)
+        found = identify(seen._replace(poses=poses, shared=each), draws, draws=50)
+        low, high = told(found, draws)[1][0]
+        held.append(low < friction < high)
+    assert held == [False, True]
+
+
 def test_a_slide_tells_friction_and_nothing_of_restitution():
     friction, rng = 0.3, np.random.default_rng(1)
     mean, interval = told(identify(slide(friction, 1.0, rng, metres=5e-4, radians=5e-3), rng, draws=50), rng)

@@ -10,9 +10,10 @@ import pytest
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.result import Answer
 from derender.errors import DerenderError
-from derender.scene.pose import from_rotation_vector, inverse
+from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
 from derender.tracking import materials
 from derender.tracking.materials import materials_to_folder, motion_of_track, rests_ahead
+from derender.tracking.path import BAND, changed, errors_of
 from derender.tracking.track import Track
 
 FRAMES, STEP = 14, 1 / 30
@@ -31,7 +32,7 @@ def track(positions, view=None, parent=1):
     return Track(
         ["box_1"], ["box"], np.array([1]), STEP * np.arange(FRAMES), [str(t) for t in range(FRAMES)],
         np.tile([0.08, 0.07, 0.05], (FRAMES, 1, 1)), views[:, None] @ poses, np.tile(errors, (FRAMES, 1, 1, 1)),
-        [["moving"]] * FRAMES, chances, views, floor, np.array([0.0, 0.0, 9.81]), np.zeros(FRAMES),
+        [["moving"]] * FRAMES, chances, views, np.zeros((BAND, 0)), floor, np.array([0.0, 0.0, 9.81]), np.zeros(FRAMES),
         np.zeros((FRAMES, 1, 4)),
     )  # fmt: skip
 
@@ -49,6 +50,23 @@ def test_poses_are_told_in_the_first_cameras_axes_and_errors_in_the_bodys():
     np.testing.assert_allclose(moved.poses, still.poses, atol=1e-12)
     turn = inverse(view)[:3, :3]
     np.testing.assert_allclose(moved.covariances[0, 0, :3, :3], turn @ still.covariances[0, 0, :3, :3] @ turn.T)
+
+
+def test_where_the_camera_is_off_things_are_so_the_other_way_in_all_frames_together():
+    rng = np.random.default_rng(0)
+    view = from_rotation_vector([0.1, 0.4, -0.2])
+    view[:3, 3] = 0.1, 0.2, 0.3
+    factor = np.zeros((BAND, 6 * FRAMES))
+    factor[0], factor[1:] = 1e4, 1e3 * rng.standard_normal((BAND - 1, 6 * FRAMES))
+    known = replace(track(sliding(), view), view_factor=factor)
+    numbers = rng.standard_normal(6 * FRAMES)
+    off = np.array([changed(*pair) for pair in zip(known.views, errors_of(factor) @ numbers, strict=True)])
+    still, moved = motion_of_track(known), motion_of_track(replace(known, views=off))
+    change = still.shared[:, 0] @ numbers
+    apart = inverse(still.poses[:, 0]) @ moved.poses[:, 0]
+    np.testing.assert_allclose((moved.poses - still.poses)[:, 0, :3, 3], change[:, :3], atol=1e-6)
+    np.testing.assert_allclose([rotation_vector(each) for each in apart], change[:, 3:], atol=1e-6)
+    assert np.abs(change).max() > 1e-4
 
 
 def test_what_a_bounce_takes_is_said_in_seconds():
