@@ -11,6 +11,10 @@ from statistics import NormalDist
 
 import numpy as np
 
+from derender.compilation.cache import njit
+
+RESOLUTION = 1e-15  # between the draws of what does not move, at most
+
 
 def r_hat(draws: np.ndarray) -> float:
     """Return the rank-normalised split R-hat, the larger of bulk and folded. One chain has none: nan."""
@@ -35,9 +39,8 @@ def tail_ess(draws: np.ndarray) -> float:
     """Return the effective sample size in the tails: the smaller of those of the 5 % and the 95 % quantile."""
     if not _usable(draws):
         return np.nan
-    return min(
-        _effective_sample_size(_split((draws <= np.quantile(draws, tail)).astype(float))) for tail in (0.05, 0.95)
-    )
+    ends = np.quantile(draws, (0.05, 0.95))
+    return min(_effective_sample_size(_split(draws <= end)) for end in ends)
 
 
 def mean_ess(draws: np.ndarray) -> float:
@@ -97,7 +100,7 @@ def _usable(draws: np.ndarray) -> bool:
 def _split(draws: np.ndarray) -> np.ndarray:
     """Return the (2 * chains, draws // 2) halves of the chains; of an odd number the middle draw is left out."""
     half = draws.shape[1] // 2
-    return np.concatenate([draws[:, :half], draws[:, -half:]])
+    return np.concatenate([draws[:, :half], draws[:, -half:]]).astype(float)
 
 
 def _rank_normalise(draws: np.ndarray) -> np.ndarray:
@@ -121,34 +124,61 @@ def _normal_scores(count: int) -> np.ndarray:
     return np.array([NormalDist().inv_cdf(probability) for probability in probabilities.tolist()])
 
 
-def _r_hat(draws: np.ndarray) -> float:
-    count = draws.shape[1]
-    within = np.mean(np.var(draws, axis=1, ddof=1))
-    if within == 0:
-        return np.nan
-    between = count * np.var(np.mean(draws, axis=1), ddof=1)
-    return float(np.sqrt((between / within + count - 1) / count))
+@njit(cache=True, nogil=True)
+def _means(draws):
+    """Return the means of chains (chains,), and (chains, draws) how far the draws are from them."""
+    means, off = np.zeros(len(draws)), draws.copy()
+    for chain in range(len(draws)):
+        for value in draws[chain]:
+            means[chain] += value / draws.shape[1]
+        off[chain] -= means[chain]
+    return means, off
 
 
-def _effective_sample_size(draws: np.ndarray) -> float:
-    """Return the effective sample size by Geyer's initial monotone sequence of the averaged autocorrelations."""
+@njit(cache=True, nogil=True)
+def _covariance(off, lag):
+    """Return the biased autocovariance of chains, off their means, the mean of all."""
+    total = 0.0
+    for own in off:
+        for k in range(len(own) - lag):
+            total += own[k] * own[k + lag]
+    return total / off.size
+
+
+@njit(cache=True, nogil=True)
+def _r_hat(draws):
+    """Return the R-hat of chains as they are."""
     chains, count = draws.shape
-    total = chains * count
-    if np.ptp(draws) < np.finfo(float).resolution:
-        return float(total)
+    means, off = _means(draws)
+    within = _covariance(off, 0) * count / (count - 1.0)
+    if within == 0.0:
+        return np.nan
+    between = count * np.var(means) * chains / (chains - 1.0)
+    return np.sqrt((between / within + count - 1) / count)
+
+
+@njit(cache=True, nogil=True)
+def _effective_sample_size(draws):
+    """Return the effective sample size by Geyer's initial monotone sequence of the averaged autocorrelations, which are
+    looked at as far as that goes."""
+    chains, count = draws.shape
+    total = float(draws.size)
+    if draws.max() - draws.min() < RESOLUTION:
+        return total
     if count < 2:
         return np.nan
-    covariance = np.mean(_autocovariance(draws), axis=0)
-    mean_variance = covariance[0] * count / (count - 1.0)
-    variance = covariance[0] + (np.var(np.mean(draws, axis=1), ddof=1) if chains > 1 else 0.0)
-    correlation = 1.0 - (mean_variance - covariance) / variance
+    means, off = _means(draws)
+    least = _covariance(off, 0)
+    variance = least + (np.var(means) * chains / (chains - 1.0) if chains > 1 else 0.0)
+    within = least * count / (count - 1.0)
 
     rho = np.zeros(count)
     rho[0] = even = 1.0
-    rho[1] = odd = correlation[1]
+    rho[1] = odd = 1.0 - (within - _covariance(off, 1)) / variance
     lag = 1
     while lag < count - 3 and even + odd > 0:
-        even, odd = correlation[lag + 1], correlation[lag + 2]
+        even = 1.0 - (within - _covariance(off, lag + 1)) / variance
+        odd = 1.0 - (within - _covariance(off, lag + 2)) / variance
         if even + odd >= 0:
             rho[lag + 1], rho[lag + 2] = even, odd
         lag += 2
@@ -158,16 +188,8 @@ def _effective_sample_size(draws: np.ndarray) -> float:
     for lag in range(1, last - 1, 2):
         if rho[lag + 1] + rho[lag + 2] > rho[lag - 1] + rho[lag]:
             rho[lag + 1] = rho[lag + 2] = (rho[lag - 1] + rho[lag]) / 2
-    tau = -1.0 + 2.0 * np.sum(rho[: last + 1]) + np.sum(rho[last + 1 : last + 2])
-    return float(total / max(tau, 1 / np.log10(total)))
-
-
-def _autocovariance(draws: np.ndarray) -> np.ndarray:
-    """Return the (chains, draws) biased autocovariances by FFT, padded so that nothing wraps around."""
-    count = draws.shape[1]
-    padded = 1 << int(np.ceil(np.log2(2 * count)))
-    spectrum = np.fft.rfft(draws - draws.mean(axis=1, keepdims=True), padded, axis=1)
-    return np.fft.irfft(spectrum * np.conj(spectrum), padded, axis=1)[:, :count] / count
+    tau = -1.0 + 2.0 * rho[: last + 1].sum() + rho[last + 1 : last + 2].sum()
+    return total / max(tau, 1 / np.log10(total))
 
 
 FAR = 1.3  # R-hat of chains in modes of their own
