@@ -45,11 +45,13 @@ def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Pla
     new = state.without(*out)
     kept = len(new)
     depth, _, misfit, _ = held_out(image, new, -1)
-    for one in (out, out - {seed}):
+    for one in (frozenset(out), frozenset(out - {seed})):
         points = places.seen[np.isin(places.shown, list(one)) & (image.depth > 0)]
         if len(points) >= FEWEST:
             bottom = max(min(lowest(state.rows[k]) for k in one), 0.0)
-            hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom),
+            if one not in places.alone:
+                places.alone[one] = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
+            hypotheses = [*hypotheses, *places.alone[one],
                           *guesses(rng, image, points, settings.shapes, bottom, depth, misfit)]  # fmt: skip
     if rng.random() < 0.5:
         hypotheses = [as_cube(each, image.origin) for each in hypotheses]

@@ -35,6 +35,7 @@ class Places(NamedTuple):
     bodies: list[np.ndarray]
     shown: np.ndarray  # (H, W) int32, the solid that each pixel shows; negative: none
     seen: np.ndarray  # (H, W, 3) float64, all points
+    alone: dict[frozenset[int], list[Hypothesis]]  # of one solid for what some show, made when it is asked for
 
     def none_left(self, settings: Settings) -> bool:
         """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""
@@ -60,7 +61,7 @@ def find_places(image: Image, state: State) -> Places:
     footprint = image.depth * np.linalg.norm(image.direction[0, 1] - image.direction[0, 0])
     bodies = find_bodies(seen, bad & (image.depth < depth), footprint)
     blame[count] = min(blame[count], sum(map(len, bodies)))  # a new solid could not explain the others
-    return Places(blame, pairs, neighbours(label, count), seen[rows, columns], bodies, label, seen)
+    return Places(blame, pairs, neighbours(label, count), seen[rows, columns], bodies, label, seen, {})
 
 
 @njit(cache=True, nogil=True)
