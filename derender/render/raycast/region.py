@@ -149,11 +149,18 @@ FAR_BOUND = np.float32(3e38)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
-def _bound(prepared, face, column, row):
-    """Affine bound `face` on a row: its value at `column` and its slope."""
+def _affine(prepared, face, column):
+    """Affine bound `face`: its value at `column` of row 0, its slope along rows, and its slope down columns."""
     k = FACES + 3 * face
     slope = prepared[k + 1]
-    return np.float32(prepared[k] + slope * column + prepared[k + 2] * row), np.float32(slope)
+    return prepared[k] + slope * column, np.float32(slope), prepared[k + 2]
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
+def _bound(prepared, face, column, row):
+    """Affine bound `face` on a row: its value at `column` and its slope."""
+    start, slope, down = _affine(prepared, face, column)
+    return np.float32(start + down * row), slope
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
@@ -172,15 +179,20 @@ def _raise_box(image, left, right, top, bottom, middle, pad, prepared):
     front, back = int(prepared[0]), int(prepared[1])
     second, third = min(1, front - 1), min(2, front - 1)
     seventh, eighth = front + min(3, back - 1), front + min(4, back - 1)
+    # read once: it is not known that what is written to the image leaves them as they are
+    start0, b0, down0 = _affine(prepared, 0, middle)
+    start1, b1, down1 = _affine(prepared, second, middle)
+    start2, b2, down2 = _affine(prepared, third, middle)
+    start3, b3, down3 = _affine(prepared, front, middle)
+    start4, b4, down4 = _affine(prepared, front + 1, middle)
+    start5, b5, down5 = _affine(prepared, front + 2, middle)
+    start6, b6, down6 = _affine(prepared, seventh, middle)
+    start7, b7, down7 = _affine(prepared, eighth, middle)
     for row in range(top, bottom):
-        a0, b0 = _bound(prepared, 0, middle, row)
-        a1, b1 = _bound(prepared, second, middle, row)
-        a2, b2 = _bound(prepared, third, middle, row)
-        a3, b3 = _bound(prepared, front, middle, row)
-        a4, b4 = _bound(prepared, front + 1, middle, row)
-        a5, b5 = _bound(prepared, front + 2, middle, row)
-        a6, b6 = _bound(prepared, seventh, middle, row)
-        a7, b7 = _bound(prepared, eighth, middle, row)
+        a0, a1 = np.float32(start0 + down0 * row), np.float32(start1 + down1 * row)
+        a2, a3 = np.float32(start2 + down2 * row), np.float32(start3 + down3 * row)
+        a4, a5 = np.float32(start4 + down4 * row), np.float32(start5 + down5 * row)
+        a6, a7 = np.float32(start6 + down6 * row), np.float32(start7 + down7 * row)
         for column in range(left, right, LANES):
             x = steps_from(column - middle)
             upper = minimum(
