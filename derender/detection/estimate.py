@@ -126,19 +126,20 @@ def on_one_floor(
         hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
     masks: list[Any] = []
     clutter: list[Any] = []
+    none = False
     try:
         if settings.free_forms and seen.correlation > CORRELATED:
             first = first_search(rng, seen.image, hypotheses, settings)
             first, masks = take_things(seen, first, settings, RELUCTANT)
             state, image, agreed = search(rng, seen.image, hypotheses, settings, pool, first)
         else:
-            state, image, agreed = searched_well(rng, seen, hypotheses, settings, pool)
+            state, image, agreed, none = searched_well(rng, seen, hypotheses, settings, pool)
         seen = seen._replace(image=image, agreed=agreed)
     except Interrupted as stopped:
         state, image = stopped.state, stopped.image
         seen = seen._replace(image=image, interrupted=True)
     if settings.free_forms:
-        state, more = take_things(seen, state, settings)
+        state, more = (state, []) if none else take_things(seen, state, settings)
         masks += more
         if more and len(state):
             state = settle(rng, image, state, settings)
@@ -169,18 +170,22 @@ def with_freestanding(seen: Observation, settings: Settings) -> Observation:
 
 def searched_well(
     rng: np.random.Generator, seen: Observation, hypotheses: list[Any], settings: Settings, pool: list[Any]
-) -> tuple[State, Any, bool]:
-    """As `search`, again while it leaves what only a free-form thing would explain, and noise has no such forms."""
+) -> tuple[State, Any, bool, bool]:
+    """As `search`, again while it leaves what only a free-form thing would explain, and noise has no such forms.
+
+    Returns besides whether such things were looked for at last, in vain.
+    """
     state, image, agreed = search(rng, seen.image, hypotheses, settings, pool)
     for _ in range(AGAIN if settings.temper == 1.0 and settings.free_forms and settings.tries > 1 else 0):
         kept = image._replace(floor=image.floor.copy())  # taking things changes the image
-        if not take_things(seen._replace(image=kept), state, settings)[1]:
-            break
+        left, things = take_things(seen._replace(image=kept), state, settings)
+        if not things:
+            return left, image, agreed, True
         pool.append((state, total_energy(image, state, settings)))
         other, focus, agreed = search(rng, seen.image, hypotheses, settings, pool)
         if total_energy(focus, other, settings) < total_energy(image, state, settings):
             state, image = other, focus
-    return state, image, agreed
+    return state, image, agreed, False
 
 
 def settings_for(settings: Settings, seen: Observation) -> Settings:
