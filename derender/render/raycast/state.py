@@ -97,6 +97,23 @@ def take_blur(settings, taps, blur):
 set_blur = interpreted(take_blur)
 
 
+@njit(cache=True, nogil=True, borrows=True)
+def write_observed(image, observed, gaussian):
+    """Write an observed image (H, W) into an engine's (H, P), and return how many of its pixels returned."""
+    returned = 0
+    for row in range(len(image)):
+        for column in range(image.shape[1]):
+            image[row, column] = np.nan
+        for column in range(observed.shape[1]):
+            value = observed[row, column]
+            if np.isfinite(value) and (value > 0.0 if gaussian else value != 0.0):
+                image[row, PAD + column] = value
+                returned += 1
+            elif not gaussian:
+                image[row, PAD + column] = 0.0
+    return returned
+
+
 def new_state(
     camera: Camera,
     observed: np.ndarray,
@@ -115,22 +132,23 @@ def new_state(
     height, width = camera.height, camera.width
     padded = PAD + -(-width // LANES) * LANES + 2 * LANES
     count = len(solids.kind)
-    missing = np.nan if kind == GAUSSIAN else 0.0
-    seen = np.isfinite(observed) & (observed > 0 if kind == GAUSSIAN else observed != 0)
     is_mesh = np.asarray(solids.kind) == MESH
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
     last = MESHES + 2 * int(is_mesh.sum())
-    images = np.ones((last + (GOING_ON if kind == CORRELATED else 0), height, padded), np.float32)
-    images[OBSERVED_IMAGE] = np.nan
+    images = np.empty((last + (GOING_ON if kind == CORRELATED else 0), height, padded), np.float32)
+    images[DEPTH:SCORE] = 1.0
     images[SCORE:MESHES] = 0.0  # the padding never scores
+    images[MESHES:last] = 1.0
     images[last:] = NO_RETURN
     if beside is not None:
         images[last, :, PAD : PAD + width] = beside
-    images[OBSERVED_IMAGE, :, PAD : PAD + width] = np.where(seen, observed, missing)
+    returned = write_observed(
+        images[OBSERVED_IMAGE], np.ascontiguousarray(observed, np.float64), bool(kind == GAUSSIAN)
+    )
     numbers = np.zeros(PARAMETERS)
     numbers[:4] = camera_array(camera)
     numbers[SIGMA : SIGMA + len(parameters)] = parameters
-    numbers[OBSERVED] = seen.sum()
+    numbers[OBSERVED] = returned
     settings, taps = np.zeros(BLURS + PAD, np.int64), np.zeros(PAD, np.float32)
     settings[WIDTH], settings[HEIGHT], settings[LIKELIHOOD] = width, height, kind
     set_blur(settings, taps, blur)
