@@ -175,10 +175,14 @@ def nearest_of_each_size(best: Refined, i: int, rules: Rules, states: list[State
     alike: dict[tuple, list[State]] = {}
     for state in states:
         alike.setdefault((discrete_part(state), *state.rows[i][13:16]), []).append(state)
-    as_it_is = partial(unclimbed, floor=floor_pose_of(best), sensor=best.sensor, rules=rules)
-    return [
-        max(same, key=lambda state: height(as_it_is(state))) if len(same) > 1 else same[0] for same in alike.values()
-    ]
+    floor, sensor = floor_pose_of(best), best.sensor
+
+    def nearest(same: list[State]) -> State:
+        charts = [make_chart(state, floor, rules) for state in same]
+        engine = engine_of(charts[0][0], sensor)  # of solids of the same kinds
+        return same[int(np.argmax([sum(load(engine, *each)) for each in charts]))]
+
+    return [nearest(same) if len(same) > 1 else same[0] for same in alike.values()]
 
 
 def quick_steps(pixels: int) -> int:
