@@ -173,11 +173,16 @@ def meets(
 def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None = None) -> Any:
     """Return (State without some solids, [mask]) with what they show as one free-form thing, if it is seen.
 
+    What is seen within a solid is the inside of a hollow one, as of a mug.
+
     parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already.
     """
     image = seen.image
     _, label, misfit, _ = held_out(image, state, -1)
-    whole = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
+    rows = [state.rows[k] for k in parts]
+    within = [(np.abs((seen.points - row[10:13]) @ rotation_of(row)) < 0.5 * row[13:16]).all(axis=-1) for row in rows]
+    shown = (image.weight > 0) & ((misfit < LIMIT) | (seen.mask & np.any(within, axis=0)))
+    whole = np.isin(label, parts) & shown
     if piece is not None:
         whole |= piece
     state = state.without(*parts)

@@ -21,6 +21,7 @@ from derender.detection.compounds import (
     part_of_another,
     slope_of,
 )
+from derender.detection.compounds import joined as joined_parts
 from derender.detection.estimate import point_estimate
 from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import leftovers, swaps
@@ -475,6 +476,16 @@ def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
         beside = seen.mask & (seen.points[..., 0] > centre[0] + 0.042)
         assert beside.sum() >= 8
         assert hangs_on(seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), beside) == expected
+
+
+def test_the_inside_of_what_a_solid_stood_for_is_part_of_the_thing_that_it_becomes():
+    """The inside of a mug, told as a can and its handle, was explained by nothing once they were one."""
+    seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl())]), CAMERA)
+    centre = (np.linalg.inv(seen.floor.pose) @ TABLE)[:3, 3] + [0.0, 0.0, 0.03]
+    can = State().add(make_row(CYLINDER, np.eye(3), centre, np.array([0.14, 0.14, 0.06])), UPRIGHT, False, FLOOR, 0.0)
+    over = seen.mask & (seen.points[..., 2] > 0.01)
+    _, (mask,) = joined_parts(seen, can, (0,))
+    assert (mask & over).sum() > 0.97 * over.sum()
 
 
 def test_a_gable_is_the_slope_of_its_carton_and_what_stands_on_one_is_not():
