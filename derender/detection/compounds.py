@@ -22,7 +22,7 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
-from derender.detection.things import BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
+from derender.detection.things import BAD, BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
 from derender.scene.polygon import convex_outline, outline_planes
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -36,6 +36,9 @@ HELD = 0.01  # metres between solids that are parts of one
 # neck of a bottle.
 NECK, COAXIAL = 0.6, 0.5
 PART = 0.05  # of a solid's pixels, in how many a part of it shows at least: sensors leave less along a silhouette
+# Share of a solid's pixels that show its inside, from which on it is hollow. (Of 213 solids on real frames twelve had
+# .13 and more, all but one of cups, mugs and rolls; the others .11 at most.)
+HOLLOW = 0.12
 SAME_WIDTH = 1.1  # of a cylinder's radius: what stands on it and is wider is no part of it
 HANGS = 0.15  # of its height, how far over what it could stand on the lowest point of a part is seen
 # Twice the sine of half the angle by which a surface turns at a convex edge at least: less is the noise of normals,
@@ -57,13 +60,14 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
     """Return (State, [mask]) in which solids that are parts of one, or of no such shape, are things.
 
     A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
-    a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge. What hangs
-    in the air is a handle of what it goes on from, and what is over it beyond a convex edge, as a gable is.
+    a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge. What shows
+    its inside is hollow. What hangs in the air is a handle of what it goes on from, and what is over it beyond a convex
+    edge, as a gable is.
 
     masks : [(H, W) bool] of free-form things.
     """
     masks, surface = list(masks), seen.surface
-    while parts := held_by_another(state) or falling(state) or neck(state, seen.image):
+    while parts := held_by_another(state) or falling(state) or neck(state, seen.image) or hollow(seen, state):
         state, found = joined(seen, state, parts)
         masks += found
     if not masks and not len(state):
@@ -179,10 +183,8 @@ def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None
     """
     image = seen.image
     _, label, misfit, _ = held_out(image, state, -1)
-    rows = [state.rows[k] for k in parts]
-    within = [(np.abs((seen.points - row[10:13]) @ rotation_of(row)) < 0.5 * row[13:16]).all(axis=-1) for row in rows]
-    shown = (image.weight > 0) & ((misfit < LIMIT) | (seen.mask & np.any(within, axis=0)))
-    whole = np.isin(label, parts) & shown
+    inside = np.any([seen_within(seen, state.rows[k]) for k in parts], axis=0)
+    whole = np.isin(label, parts) & (image.weight > 0) & ((misfit < LIMIT) | inside)
     if piece is not None:
         whole |= piece
     state = state.without(*parts)
@@ -190,6 +192,22 @@ def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None
         return state, []
     image.floor[whole] = image.depth[whole] + 0.5 * AS_SEEN
     return state, [whole]
+
+
+def seen_within(seen: Observation, row: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: the pixels over the floor that show what lies within a solid's oriented box."""
+    return seen.mask & (np.abs((seen.points - row[10:13]) @ rotation_of(row)) < 0.5 * row[13:16]).all(axis=-1)
+
+
+def hollow(seen: Observation, state: State) -> tuple[int, ...] | None:
+    """Return (i,), a solid of which the inside is seen, as of a cup; else None."""
+    depth, label, misfit, _ = held_out(seen.image, state, -1)
+    deep = (misfit > BAD) & (seen.image.depth - depth > HELD)  # beyond noise, and what its faces are off
+    for i in set(range(len(state))) - set(state.parents):
+        shown = (label == i) & (seen.image.weight > 0)
+        if (shown & deep & seen_within(seen, state.rows[i])).sum() > HOLLOW * shown.sum():
+            return (i,)
+    return None
 
 
 def alone_on(state: State, i: int) -> tuple[int, ...]:

@@ -118,7 +118,8 @@ def joined(
     believed: Things,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less; and (N,) by how many
-    nats less at least, for each thing, of those joins by which it has ALONE of its area or more: inf where none has.
+    nats less at least, for each thing, of those joins by which it has ALONE of its area or more: inf where none has. A
+    cup's wall and its bottom, seen within its rim, meet in a concave edge and are one.
 
     label, edges : see `segments`. price : nats of one more thing. nats : of each metre of edge within a thing as large
         as usual.
@@ -127,7 +128,7 @@ def joined(
     """
     count, points, origin = len(edges), surface.points, surface.origin
     owner = np.arange(count)
-    edges, area = edges.copy(), np.array(area, float)
+    common, edges, area = edges, edges.copy(), np.array(area, float)
     joins = []
     while count > 1:
         neck = NECK * np.sqrt(np.minimum(area[:, None], area))
@@ -142,21 +143,30 @@ def joined(
         edges[:, a] += edges[:, b]
         edges[b], edges[:, b], edges[a, a] = 0.0, 0.0, 0.0
     clouds = {k: points[np.isin(label, np.flatnonzero(owner == k))] for k in np.unique(owner)}
+    inside = np.zeros(count, bool)  # the farther of two sides
     for a in sorted(clouds):
         for b in sorted(clouds):
             if a < b and a in clouds and b in clouds and two_sides(clouds[a], clouds[b], origin):
+                inside |= owner == (a, b)[farther(clouds[a], clouds[b], origin)]
                 owner[owner == b] = a
                 area[a] += area[b]
                 clouds[a] = np.vstack([clouds[a], clouds.pop(b)])
     least = np.full(count, np.inf)
     for gain, smaller, *sides in joins:
         whole = owner[np.argmax(sides[0])]
-        if smaller < ALONE * area[whole] or gain >= least[whole]:
+        if smaller < ALONE * area[whole]:
             continue
         one, other = (points[np.isin(label, np.flatnonzero(side))] for side in sides)
-        if not two_sides(one, other, origin):
-            least[whole] = gain
+        if two_sides(one, other, origin):
+            inside |= sides[farther(one, other, origin)]
+        elif common[np.ix_(*(side & ~inside for side in sides))].any():
+            least[whole] = min(least[whole], gain)
     return owner, least
+
+
+def farther(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> int:
+    """Return which of two pieces (K, 3) is farther from a point, 0 or 1."""
+    return int(np.argmax([np.linalg.norm(cloud.mean(axis=0) - origin) for cloud in (first, second)]))
 
 
 def two_sides(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:

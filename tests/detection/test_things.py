@@ -16,6 +16,7 @@ from derender.detection.compounds import (
     goes_on,
     hangs_on,
     held_by_another,
+    hollow,
     meets,
     neck,
     part_of_another,
@@ -484,8 +485,11 @@ def test_the_inside_of_what_a_solid_stood_for_is_part_of_the_thing_that_it_becom
     centre = (np.linalg.inv(seen.floor.pose) @ TABLE)[:3, 3] + [0.0, 0.0, 0.03]
     can = State().add(make_row(CYLINDER, np.eye(3), centre, np.array([0.14, 0.14, 0.06])), UPRIGHT, False, FLOOR, 0.0)
     over = seen.mask & (seen.points[..., 2] > 0.01)
+    assert hollow(seen, can) == (0,)
     _, (mask,) = joined_parts(seen, can, (0,))
     assert (mask & over).sum() > 0.97 * over.sum()
+    full = observe(seen_on_the_table([(CYLINDER, 0.0, 0.0, (0.14, 0.14, 0.06), None)]), CAMERA)
+    assert hollow(full, can) is None
 
 
 def test_a_gable_is_the_slope_of_its_carton_and_what_stands_on_one_is_not():
@@ -602,6 +606,24 @@ def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
     bowl, apart = [2.0, 2.0, 1.0], [0.0, 0.02, 0.0]
     assert one_rim(outside * bowl - apart, inside * bowl + apart, camera)  # its bottom is too low to be told
     assert not one_rim(outside * [1.0, 2.0, 1.0], inside * [1.0, 2.0, 1.0], camera)  # two, one behind the other
+
+
+def test_the_bottom_of_a_cup_is_no_object_beside_its_wall():
+    """Small cups were objects at P .7, and one was not told: bottom and wall might have been two."""
+    angle, spread = np.linspace(0, np.pi, 60), np.linspace(0.0, 0.035, 6)
+    rise = np.linspace(0.05, 0.1, 6)
+    outside, inside = (
+        np.array([[0.04 * np.cos(a), way * 0.04 * np.sin(a), z] for a in angle for z in rise]) for way in (-1, 1)
+    )
+    bottom = np.array([[r * np.cos(a), r * np.sin(a), 0.02] for a in angle for r in spread])
+    points = np.stack([outside, inside, bottom])
+    surface = surface_through(points)._replace(origin=np.array([0.0, -0.6, 0.5]))
+    label, area = np.repeat([[0], [1], [2]], outside.shape[0], axis=1), np.array([0.006, 0.006, 0.002])
+    for beside, doubted in ((1, False), (0, True)):  # of the inside; of the outside it may be something before it
+        edges = np.zeros((3, 3))
+        edges[beside, 2] = edges[2, beside] = 0.05
+        owner, least = joined(surface, label, edges, 47.0, 23.0 / 0.03, area, Things())
+        assert len(np.unique(owner)) == 1 and np.isfinite(least[owner[0]]) == doubted
 
 
 def test_a_piece_that_goes_on_across_a_convex_edge_is_no_object_and_one_in_a_corner_is():
