@@ -120,10 +120,7 @@ def _with_all(
     for name, thing, surface, size, centre, hidden, noise in made:
         row = thing.row.copy()
         row[CENTRE:SIZE], row[SIZE:] = centre, size
-        vertex = vertex_of(row, False, name)
-        numbers = dict(zip(("length", "width", "height"), map(float, size), strict=True))
-        options = {"surface": surface} if surface else {}
-        vertex = replace(vertex, shape="thing", parameters=numbers, options=options)
+        vertex = replace(vertex_of(row, False, name), shape="thing", options={"surface": surface} if surface else {})
         parent = FLOOR_NAME if thing.parent == FLOOR else names[thing.parent]
         if parent not in graph.names:
             parent = FLOOR_NAME
@@ -133,7 +130,7 @@ def _with_all(
             exact = replace(contact, values=held)
             vertex = replace(vertex, parent=parent, contact=exact)
         graph = graph.add(vertex)
-        for (key, value), behind, guess in zip(numbers.items(), hidden, thing.guessed, strict=True):
+        for (key, value), behind, guess in zip(vertex.parameters.items(), hidden, thing.guessed, strict=True):
             more, off = rng.standard_normal((2, chains, draws, 1))
             goes_on = (guess > 0.0) | (rng.random(more.shape) > whole)
             shown = max(value - guess, THINNEST)  # its surface may be shorter than the box that the guess is of

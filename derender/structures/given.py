@@ -18,9 +18,8 @@ from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads, interruptible
 from derender.document import Document, LikelihoodPrior
 from derender.errors import DerenderError
-from derender.posterior.check import short_of_noise
 from derender.posterior.compiled.backend import backend_of
-from derender.posterior.evidence import evidence_about
+from derender.posterior.evidence import evidence_about, short_of_noise
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Part
 from derender.posterior.sampler import WALKS, MixtureSampler, Population, Settings, tempered

@@ -10,8 +10,8 @@ from toy_worlds import World
 from derender import data_path
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.posterior import sampler
-from derender.posterior.check import short_of_noise
 from derender.posterior.compiled.backend import backend_of
+from derender.posterior.evidence import short_of_noise
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.relocate import fitted, seen_place
 from derender.posterior.sampler import MixtureSampler, Population, Settings, Walk
