@@ -9,6 +9,7 @@ import numpy as np
 
 from derender.atomic import write_text
 from derender.render.blur import blur
+from derender.render.likelihoods.pixelwise import noise_at
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
@@ -232,7 +233,7 @@ def _predictive(report: Report, observed: np.ndarray) -> str:
     seen = observed[some]
     drawn = np.array([as_compared(render_depth(each, camera)[0], report.likelihood)[some] for each in report.draws])
     mean, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
-    noise = report.likelihood.get("sigma", 0.0) + report.likelihood.get("sigma_growth", 0.0) * mean**2
+    noise = noise_at(mean, {"sigma": 0.0, **report.likelihood})
     with np.errstate(invalid="ignore", divide="ignore"):
         surprise = (seen - mean) / np.hypot(spread, noise)
     widest = np.nanpercentile(spread, 90) if np.isfinite(spread).any() else 0.0

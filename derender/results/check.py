@@ -17,6 +17,7 @@ import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
 from derender.camera.windows import greatest, labelled, least, of_five, opened
+from derender.render.likelihoods.pixelwise import noise_at
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
@@ -279,7 +280,7 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
     if not fit.noise.sigma or float(fit.background[np.isfinite(observed)].mean()) > SOME_BACKGROUND:
         return []
     middle = float(np.nanmedian(observed))
-    fitted = float(likelihood.get("sigma", 0.0)) + float(likelihood.get("sigma_growth", 0.0)) * middle**2
+    fitted = float(noise_at(middle, {"sigma": 0.0, **likelihood}))
     usual = (SENSOR_PER_DEPTH * middle + SENSOR_PER_SQUARE * middle**2) / 3.0
     if fitted <= NOISY * max(fit.noise.sigma, usual):
         return []

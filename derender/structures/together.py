@@ -19,6 +19,7 @@ from derender.detection.solids.interpenetration import highest, penetration
 from derender.detection.solids.state import State
 from derender.errors import DerenderError
 from derender.render.blur import blur
+from derender.render.likelihoods.pixelwise import noise_at
 from derender.results.fit import flat_noise, tolerance_of
 from derender.results.posterior import StructurePosterior
 from derender.scene.pose import inverse, rotation_z, twist_exp
@@ -249,8 +250,7 @@ def shared(refined: Refined) -> np.ndarray:
 def residual_of(view: Sensor, model: np.ndarray) -> np.ndarray:
     """Return (H, W) the residuals of a view in standard deviations of its noise, cut off, NaN where it says nothing."""
     smooth = blur(model, view.values["blur"])
-    noise = view.values["sigma"] + view.values.get("sigma_growth", 0.0) * smooth**2
-    return np.clip((view.returned - smooth) / noise, -CLIPPED, CLIPPED)
+    return np.clip((view.returned - smooth) / noise_at(smooth, view.values), -CLIPPED, CLIPPED)
 
 
 def correlation(

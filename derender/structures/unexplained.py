@@ -22,6 +22,7 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
+from derender.render.likelihoods.pixelwise import noise_at
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.alternatives import PROMISING, QUICK, likeliest_of_each
@@ -58,8 +59,7 @@ def nearer_than_explained(clean: np.ndarray, observed: np.ndarray, numbers: Mapp
     """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return.
     clean, observed : (H, W) metres, of the scene without blur, and of the image. numbers : of a likelihood."""
     model = blur(clean, numbers["blur"])
-    noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * model**2
-    return np.clip((model - observed) / noise, -MOST_OF_ONE, MOST_OF_ONE)
+    return np.clip((model - observed) / noise_at(model, numbers), -MOST_OF_ONE, MOST_OF_ONE)
 
 
 def spots_left(clean: np.ndarray, observed: np.ndarray, numbers: Mapping[str, float]) -> list[list[float]]:

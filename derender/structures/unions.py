@@ -14,6 +14,7 @@ from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, with_bottom
+from derender.render.likelihoods.pixelwise import noise_at
 from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import DOUBTFUL, QUICK, climbed, tried, weighed_whole
 from derender.structures.changes import LEAST_TALL
@@ -147,8 +148,7 @@ def change_of_image(best: Refined, chart: Chart, values: np.ndarray) -> float:
     total = 0.0
     for view in best.sensor.views:
         before, after = view.clean(best.chart, best.values), view.clean(chart, values)
-        noise = view.values["sigma"] + view.values.get("sigma_growth", 0.0) * before**2
-        total += float(np.minimum(0.5 * ((after - before) / noise) ** 2, LIMIT).sum())
+        total += float(np.minimum(0.5 * ((after - before) / noise_at(before, view.values)) ** 2, LIMIT).sum())
     return total
 
 

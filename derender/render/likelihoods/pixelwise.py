@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -107,6 +108,16 @@ def blurred_depth(depth: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
     return blur(with_wall(depth, values["background"]), values["blur"])
 
 
+def noise_at(depth: Any, values: Mapping[str, float]) -> Any:
+    """Return the standard deviation in metres of a likelihood's noise at depths: sigma + sigma_growth depth^2."""
+    return values["sigma"] + values.get("sigma_growth", 0.0) * depth**2
+
+
+def surface_density(residual: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Return the normal density, per metre, of what a surface is off by under noise of this standard deviation."""
+    return np.exp(-0.5 * (residual / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
+
+
 @likelihoods.register("gaussian")
 class Gaussian(Likelihood):
     """Norm(observed; b(d), sigma) in every pixel with a return; a pixel without one is evidence of nothing."""
@@ -136,11 +147,10 @@ def mixture(observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float]
     the densities of its surface and of outliers: see `Robust`."""
     value, model = np.abs(np.where(np.isfinite(observed), observed, 0.0)), blurred_depth(depth, values)
     model = np.where((value > 0.0) & (observed < 0.0), np.minimum(model, value), model)
-    spread = values["sigma"] + values["sigma_growth"] * model**2
-    surface = np.exp(-0.5 * ((value - model) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
+    spread = noise_at(model, values)
     inside = (value >= values["near"]) & (value <= values["far"])
     outliers = np.where(inside, values["outlier"] / (values["far"] - values["near"]), NOWHERE)
-    return value, model, spread, (1.0 - values["outlier"]) * surface, outliers
+    return value, model, spread, (1.0 - values["outlier"]) * surface_density(value - model, spread), outliers
 
 
 @likelihoods.register("robust")
@@ -192,8 +202,7 @@ class Robust(Likelihood):
     def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         model, missing = blurred_depth(depth, values), self.missing_rate(depth, values)
-        spread = values["sigma"] + values["sigma_growth"] * model**2
-        result = model + spread * rng.standard_normal(depth.shape)
+        result = model + noise_at(model, values) * rng.standard_normal(depth.shape)
         outliers = rng.random(depth.shape) < values["outlier"]
         result[outliers] = rng.uniform(values["near"], values["far"], size=int(outliers.sum()))
         return np.where((rng.random(depth.shape) < missing) | (result <= 0.0), np.nan, result)

@@ -15,6 +15,7 @@ from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.correlated import independent_share, innovations, shown_share
+from derender.render.likelihoods.pixelwise import noise_at, surface_density
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.solids import PLANE, Solids
@@ -280,7 +281,7 @@ class Noise(NamedTuple):
                    "missing_edge": missing, "background": BACKGROUND}  # fmt: skip
         numbers |= {name: self.held[name] for name in numbers if name in self.held} | outlier_range(self.observed)
         seen = np.isfinite(residual)
-        surface = surface_density(residual[seen], model[seen], numbers)
+        surface = surface_density(residual[seen], noise_at(model[seen], numbers))
         found = []
         for outlier in (self.held["outlier"],) if "outlier" in self.held else rates:
             told = {**numbers, "outlier": outlier}
@@ -308,7 +309,7 @@ class Noise(NamedTuple):
         def density(blurred: float) -> float:
             model = self.model(blurred)[seen]
             own = log_prior_of(self.believed, {**numbers, "blur": blurred})
-            return mixture_density(surface_density(told - model, model, numbers), numbers) + own
+            return mixture_density(surface_density(told - model, noise_at(model, numbers)), numbers) + own
 
         return density
 
@@ -333,12 +334,6 @@ def noise_told_by(
     is gaussian is so where everything that the image shows is part of the scene. wall : behind the clean depth."""
     normal = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
     return Noise(observed, clean, {**held_by(prior), "background": wall}, every=every, outliers=not normal)
-
-
-def surface_density(residual: np.ndarray, model: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
-    """Return the densities (n,) of residuals of a surface at depths `model` (n,) under a robust likelihood's noise."""
-    spread = numbers["sigma"] + numbers["sigma_growth"] * model**2 if numbers["sigma_growth"] else numbers["sigma"]
-    return np.exp(-0.5 * (residual / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
 
 
 def mixture_density(surface: np.ndarray, numbers: Mapping[str, float]) -> float:
@@ -381,8 +376,9 @@ def without_blur(sensor: Sensor, whole: Sensor, depth: np.ndarray, chart: Chart,
     """Return the Sensor of one view whose pixels, single ones of a whole image, are as they were without its blur.
     whole : the `whole_sensor` given the scene at coordinates (D,). depth : (H, W) metres, what it shows, all of it."""
     scene, told = whole.clean(chart, values), whole.values
-    noise = told["sigma"] + told.get("sigma_growth", 0.0) * scene**2
-    single = single_pixels(unmixed_by(scene, depth, told["blur"], noise), whole.camera.width // sensor.camera.width)
+    single = single_pixels(
+        unmixed_by(scene, depth, told["blur"], noise_at(scene, told)), whole.camera.width // sensor.camera.width
+    )
     single = np.where(sensor.observed < 0.0, sensor.observed, single)
     prior = (LikelihoodPrior("robust") if sensor.prior is None else sensor.prior).with_values({"blur": 0.0})
     return sensor._replace(observed=single, prior=prior, beside=None).changed(blur=0.0)
