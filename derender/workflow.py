@@ -74,7 +74,7 @@ def infer_to_folder(
     command : recorded in what is written. page : whether report.html is written, which can be made later.
     progress : called with (fraction done, message). say, warn : called with a line for a person.
     frames : files of further images of the same scene, which stands still; poses : file of where all cameras stood
-        (camera/poses.py), None: as the camera file says, or else they are found.
+        (see `read_poses`), None: as the camera file says, or else they are found.
 
     Raises DerenderError : whatever is wrong with the images, the camera, the poses, the prior or the folder.
     """

@@ -244,7 +244,7 @@ MOST = 1e6  # metres, radians, newtons, seconds or hertz: what is beyond can be 
 
 
 def _quantity(text: str, unit: str, where: str, positive: bool = False, signed: bool = False) -> float:
-    """Read a number in a base unit or one of its kind (`UNITS`); positive : not 0, signed : below 0 too."""
+    """Read a number in a base unit or one of its kind (`yaml_tree.UNITS`); positive : not 0, signed : below 0 too."""
     with at_fault(where):
         value = parse_number(text, unit, strict=False)
     if (value < 0 and not signed) or (positive and value == 0):

@@ -104,7 +104,7 @@ def fit_of(
     observed : (H, W) float64, metres, NaN where nothing returned.
     likelihood : its numbers by name; of them `blur` (pixels) and `background` (metres, where nothing else is seen).
     told : (H, W) metres that inference says explain the pixels, as the sensor bends them, the background among them
-        and what it hides (explanation.py), NaN where nothing does; None: what the scene predicts.
+        and what it hides (`Explanation.depth`), NaN where nothing does; None: what the scene predicts.
     uneven : metres, one standard deviation, by which inference found the floor to be off its plane.
     """
     clean, solid = render_depth(graph.solids(), camera)

@@ -437,7 +437,7 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
 
     What the canvas shows already is kept: of the same window only the pixels are drawn, `canvas.dirty`, in which a
     solid that has moved or grown since was or is, and their neighbours, whose marks it may change. The result is the
-    same to the last bit. `forget` makes it draw everything, as a change of kinds or background requires.
+    same to the last bit. A canvas whose `drawn_window` is empty draws everything, as other kinds or background require.
 
     canvas : Canvas, written. kinds : (N,) int32, poses : (N, 4, 4), sizes : (N, 3) float64, as in Solids.
     background : depth in metres of a wall behind everything: what hits nothing, or lies beyond, has this depth.

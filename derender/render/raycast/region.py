@@ -3,7 +3,7 @@
 A proposal's rectangles are those of what moved, before and after; where they would touch, one that holds both. Scores
 are the compiled twins of the likelihoods' `per_pixel`. Under noise that neighbouring pixels share they go row by row:
 first how probably each pixel shows its surface, then the scores, which look at that to the left and above. Outside the
-region it is as it was, for a region reaches a pixel farther than the blur (`set_reach`).
+region it is as it was, for a region reaches a pixel farther than the blur (MARGIN).
 """
 
 import math
