@@ -25,12 +25,12 @@ from sequences import KINDS, make_sequence  # noqa: E402
 
 from derender.camera.intrinsics import Camera  # noqa: E402
 from derender.render.raycast.normal_equations import cost  # noqa: E402
+from derender.scene.solids import KINDS as SOLIDS  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
 from derender.tracking.contact import parent_probabilities  # noqa: E402
 from derender.tracking.film import Film  # noqa: E402
 from derender.tracking.passes import Passes  # noqa: E402
 from derender.tracking.run import inferrer  # noqa: E402
-from derender.tracking.thing import KINDS as SOLIDS  # noqa: E402
 from derender.tracking.thing import start_from  # noqa: E402
 from derender.tracking.track import Recorder  # noqa: E402
 

@@ -15,7 +15,7 @@ from derender.atomic import check_files, locked, make_folder, write_text
 from derender.batch.frames import LEDGER, RESULT, THUMBNAIL, Done, Frame, Order, is_done, rows_in, still_tells
 from derender.errors import DerenderError, printable
 from derender.json_text import misfit, parse_json
-from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
+from derender.results.table import EXTENTS, as_csv, as_lines, as_page, digits, extents_text, read_lines
 
 RUN, TABLE, PAGE = "batch.json", "results.csv", "index.html"
 
@@ -188,7 +188,7 @@ def _row(folder: Path, name: str, state: str, rows: Sequence[Mapping[str, Any]])
 
 
 def _object(row: Mapping[str, Any]) -> str:
-    ranges = [(row[f"{side}_low"], row[f"{side}_high"]) for side in SIDES]
-    sizes = extents_text([row[side] for side in SIDES], None if None in ranges[0] else ranges)
+    ranges = [(row[f"{side}_low"], row[f"{side}_high"]) for side in EXTENTS]
+    sizes = extents_text([row[side] for side in EXTENTS], None if None in ranges[0] else ranges)
     probability = f", p {escape(digits(row['probability']))}" if row["probability"] is not None else ""
     return f"{escape(str(row['object']))}: {sizes}, on {escape(str(row['rests_on']))}{probability}"

@@ -24,7 +24,7 @@ from derender.report.tables import text_table
 from derender.report.tree_text import structure_words, told_structures
 from derender.results import posterior as kept
 from derender.results.predictive import blocks_of, predictive_images, write_netcdf
-from derender.results.table import SIDES, digits, extents_text
+from derender.results.table import EXTENTS, digits, extents_text
 from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class Objects(tuple[Found, ...]):
         rows = []
         for found in self:
             row: dict[str, Any] = {"name": found.name, "type": found.type}
-            for side, size, error in zip(SIDES, found.size, found.size_error, strict=True):
+            for side, size, error in zip(EXTENTS, found.size, found.size_error, strict=True):
                 row |= {side: float(size), f"{side}_error": float(error)}
             row |= dict(zip("xyz", map(float, found.pose[:3, 3]), strict=True))
             rows.append(row | {"rests_on": found.parent, "probability": found.probability})
@@ -253,9 +253,9 @@ class Posterior(kept.Posterior):
         """Draw length, width and height of each object with their 90 % ranges into matplotlib axes, and return them."""
         axes, objects = axes_for(ax), self.objects
         places = np.arange(len(objects))
-        sizes, errors = (1000 * np.array([getattr(found, name) for found in objects]).reshape(-1, len(SIDES))
+        sizes, errors = (1000 * np.array([getattr(found, name) for found in objects]).reshape(-1, len(EXTENTS))
                          for name in ("size", "size_error"))  # fmt: skip
-        for number, side in enumerate(SIDES):
+        for number, side in enumerate(EXTENTS):
             told = sizes[:, number], errors[:, number]
             axes.errorbar(places + 0.2 * (number - 1), *told, fmt="o", capsize=3, label=side)
         axes.set_xticks(places, [found.name for found in objects], rotation=30, ha="right")

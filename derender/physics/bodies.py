@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.scene import solids as kinds
 from derender.scene.friction import OF_BODIES
 from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
 from derender.scene.separation import separation_of
+from derender.scene.solids import KINDS
 
 SLAB = 0.02  # metres of the slab that bears for a plane that ends: thicker than what engines let sink in
-KINDS = {"plane": kinds.PLANE, "box": kinds.BOX, "sphere": kinds.SPHERE, "cylinder": kinds.CYLINDER, "mesh": kinds.MESH}
 KIND_NAMES = {code: name for name, code in KINDS.items()}
 
 DENSITY = 500.0

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.physics.balance import BALANCED, MOST_MARGIN, equilibrium, greatest, least_push
-from derender.physics.bodies import KINDS, Body, Matter, clamped_masses, pair_frictions
+from derender.physics.bodies import Body, Matter, clamped_masses, pair_frictions
 from derender.scene.contact_points import across, all_contacts
+from derender.scene.solids import KINDS
 
 # Bodies without a contact in the graph touch where they are no further apart than this share of the smallest extent.
 NEAR = 2e-3

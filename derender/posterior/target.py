@@ -15,7 +15,7 @@ from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.tree import TreePrior
-from derender.scene.shapes.base import SIDES
+from derender.scene.shapes.base import EXTENTS, opposite
 from derender.scene.shapes.kinds import FACE_NAMES
 
 
@@ -47,7 +47,7 @@ def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribu
 def spans_of(face: str) -> tuple[str, str]:
     """Return the parameters of a box that are its extents along one of its faces."""
     along = "xyz".index(face[1])
-    return SIDES[(along + 1) % 3].name, SIDES[(along + 2) % 3].name
+    return EXTENTS[(along + 1) % 3], EXTENTS[(along + 2) % 3]
 
 
 def block_name(address: str) -> str:
@@ -77,8 +77,7 @@ def base_of(graph: SceneGraph, name: str, unknown: set[str]) -> tuple[str, str]:
         tilted = any(
             contact.values.get(key, 0.0) != 0.0 or f"{base}.contact.{key}" in unknown for key in ("tilt_x", "tilt_y")
         )
-        opposite = ("-" if face[0] == "+" else "+") + face[1:]
-        if contact.type != "face-to-face" or tilted or contact.faces[1] != opposite:
+        if contact.type != "face-to-face" or tilted or contact.faces[1] != opposite(face):
             return base, face
         base, face = below.parent, contact.faces[0]
 

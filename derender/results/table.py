@@ -15,23 +15,23 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
 from derender.scene.pose import quaternion
+from derender.scene.shapes.base import EXTENTS
 
 DIGITS = 6  # after the point: micrometres and microradians, a thousandth of what any sensor tells
-SIDES = ("length", "width", "height")
 # frame : its name; status : done or failed; object, type : of a solid, empty where the frame shows none; length, width,
 # height : its full extents along its own x, y, z in metres, with the ends of their 90 % ranges; x, y, z : where its
 # middle is in camera axes, metres; qw, qx, qy, qz : its rotation, object to camera; turn : of its x about the vertical
 # against the camera's x, radians; rests_on : what it stands on; probability : that it is there; object_trusted :
 # whether it is to be trusted; trusted, doubts : whether the whole frame's result is, and why not.
 COLUMNS = (
-    "frame", "status", "object", "type", *(f"{side}{end}" for side in SIDES for end in ("", "_low", "_high")),
+    "frame", "status", "object", "type", *(f"{side}{end}" for side in EXTENTS for end in ("", "_low", "_high")),
     "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "object_trusted", "trusted", "doubts",
 )  # fmt: skip
 
 # What is read of a row, as `misfit` takes it.
 ROW = {"frame": str, "status": str, "trusted": bool, "doubts": [str], "probability?": {float, None},
        **dict.fromkeys(("object?", "type?", "rests_on?"), {str, None}),
-       **{f"{side}{end}?": {float, None} for side in SIDES for end in ("", "_low", "_high")}}  # fmt: skip
+       **{f"{side}{end}?": {float, None} for side in EXTENTS for end in ("", "_low", "_high")}}  # fmt: skip
 
 
 def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -47,7 +47,7 @@ def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
             continue
         pose = np.array(item["pose"])
         row = _row(frame, "done") | {"object": item["name"], "type": item["type"]} | told
-        for side, extent, interval in zip(SIDES, item["size"], item.get("size_interval") or [()] * 3, strict=True):
+        for side, extent, interval in zip(EXTENTS, item["size"], item.get("size_interval") or [()] * 3, strict=True):
             row[side] = extent
             if len(interval):
                 row[f"{side}_low"], row[f"{side}_high"] = interval

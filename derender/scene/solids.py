@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 PLANE, BOX, SPHERE, CYLINDER, MESH = range(5)
+KINDS = {"plane": PLANE, "cube": BOX, "box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "mesh": MESH}
 
 
 class Solids(NamedTuple):

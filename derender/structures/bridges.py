@@ -32,13 +32,13 @@ from derender.scene.graph import ROOT, SceneGraph, Vertex, nearest_contact
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Loose, balances
 from derender.scene.shapes import shapes
+from derender.scene.shapes.base import EXTENTS, opposite
 from derender.structures.draws.chart import Chart, rows_at
 
 DEEPEST, LARGEST_TILT = 0.010, np.radians(4.0)  # metres by which the solids may enter each other, and angle of faces
 ENDS_AT_NONE = 2.0  # standard deviations of draws from their mean to 0, where few would lie beyond anyway
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
 RESTING = ("face-to-face", "side-on-face")
-EXTENTS = {"x": "length", "y": "width", "z": "height"}
 SMALLEST_WEIGHT = 1e-3  # a half that is less likely is not kept
 GAPS = 60  # draws looked at
 
@@ -146,11 +146,10 @@ def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior
     if contact.type != "face-to-face" or part.graph.vertex(candidate.other).shape not in ("box", "cylinder"):
         return part
     face = contact.faces[1]
-    opposite = ("-" if face[0] == "+" else "+") + face[1]
-    address = f"{candidate.other}.{EXTENTS[face[1]]}"
+    address = f"{candidate.other}.{EXTENTS['xyz'.index(face[1])]}"
     if address not in part.addresses:
         return part
-    if support_residual(part.graph, candidate.name, candidate.other).parent_face != opposite:
+    if support_residual(part.graph, candidate.name, candidate.other).parent_face != opposite(face):
         return part
     values = part.values.copy()
     place = part.addresses.index(address)

@@ -34,13 +34,13 @@ EDGE_ON = 1e-6  # cosine between a plane and a direction from which on it runs a
 
 def solids_seen(target: SceneTarget, seed: int) -> SceneGraph | None:
     """Return the scene that the search for solids of its objects' shapes finds in a target's image; None: nothing."""
-    from derender.detection.solids.image import KINDS
+    from derender.detection.search.greedy import SHAPES
     from derender.structures.infer import infer_structure
     from derender.structures.options import Options
 
     sought = [vertex for vertex in target.template.vertices if is_sought(target, vertex)]
     shapes = sorted({vertex.shape for vertex in sought})
-    if not sought or any(shape not in KINDS for shape in shapes):
+    if not sought or any(shape not in SHAPES for shape in shapes):
         return None
     options = Options(method="map", seed=seed, shapes=shapes, floor=floor_of(target))
     try:

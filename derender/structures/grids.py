@@ -29,6 +29,7 @@ from derender.results.posterior import StructurePosterior
 from derender.scene.graph import Contact, SceneGraph, Vertex, nearest_contact
 from derender.scene.pose import inverse, translation
 from derender.scene.priors.bare_image import Cartons
+from derender.scene.shapes.base import EXTENTS
 from derender.scene.solids import BOX
 
 FEWEST = 4  # boxes of a grid: two or three are found as such
@@ -45,7 +46,6 @@ RIM = 2  # pixels of a silhouette that may show what is behind
 NO_NOISE, FITS = 3.0, 3  # standard deviations that are no noise of a face, and how often a face is fitted without them
 SMALLEST_WEIGHT, MOST_KEPT = 0.01, 12  # of a grid that is kept, and of how many, the one box among them
 DRAWS = 20  # of a grid, of each chain: each is placed carton by carton
-EXTENTS = ("length", "width", "height")
 UP = 2  # the axis of an upright box across its layers
 
 

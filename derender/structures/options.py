@@ -80,10 +80,10 @@ class Options:
             remedy = suggest(self.gradient, GRADIENTS)
             raise DerenderError(f"no gradient is called {self.gradient!r}", "--gradient", remedy)
         if self.shapes:
-            from derender.detection.solids.image import KINDS
+            from derender.detection.search.greedy import SHAPES
 
-            if wrong := [name for name in self.shapes if name not in KINDS]:
-                remedy = suggest(wrong[0], sorted(KINDS))
+            if wrong := [name for name in self.shapes if name not in SHAPES]:
+                remedy = suggest(wrong[0], sorted(SHAPES))
                 raise DerenderError(f"{wrong[0]!r} is no shape to look for", "--shapes", remedy)
         for name, (least, most) in RANGES.items():
             value = getattr(self, name)

@@ -9,7 +9,7 @@ import numpy as np
 from derender.results.posterior import Posterior
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
-from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.scene.solids import KINDS
 from derender.tracking.hidden import Hidden
 
 STILL, MOVING, HIDDEN, LOST, GONE = "still", "moving", "hidden", "lost", "gone"
@@ -22,7 +22,6 @@ TIES = {
 DRAWS = 60  # of the posterior, for the spread of sizes and poses
 LEAST_SPREAD = (3e-4, 3e-3, 3e-4)  # metres, radians, metres: of centre, turn and extents of what is known best
 SAME_TURN = 0.35  # radians: draws turned by more are the same solid named by other axes
-KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
 
 
 @dataclass

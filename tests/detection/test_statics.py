@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from derender.detection.solids.image import KINDS, make_row
+from derender.detection.solids.image import make_row
 from derender.detection.solids.state import FLOOR
 from derender.detection.solids.support import contacts_of, least_forces, shares_of_load
 from derender.scene.separation import surface_distance
-from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.scene.solids import BOX, CYLINDER, KINDS, SPHERE
 from worlds.made_scenes import random_size, settle
 
 

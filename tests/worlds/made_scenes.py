@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.solids.image import FAR, KINDS, ROW, draw, make_image, make_row
+from derender.detection.solids.image import FAR, ROW, draw, make_image, make_row
 from derender.physics.bodies import DENSITY
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, translation
-from derender.scene.solids import BOX, PLANE, Solids
+from derender.scene.solids import BOX, KINDS, PLANE, Solids
 from worlds.settling import come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it

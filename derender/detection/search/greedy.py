@@ -30,6 +30,7 @@ HOPEFUL = 200.0  # nats by which a hypothesis may worsen the image before it is 
 APART = 0.002  # metres between the sides of cubes that are tried: as far as polishing takes them at once
 # Of solids on real tables, as sensors see them: what a search lets them be off.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
+SHAPES = ("box", "cube", "cylinder", "sphere")  # names of the shapes that a search knows
 
 
 class Settings(NamedTuple):
@@ -45,7 +46,7 @@ class Settings(NamedTuple):
     until : time.monotonic() from which on draws that do not agree yet are not gone on with; None: while it is worth it.
     """
 
-    shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")  # names of the shapes that may occur
+    shapes: tuple[str, ...] = SHAPES  # names of the shapes that may occur
     max_objects: int = 30  # how many solids there may be
     counts_all: bool = False  # whether that was said, and of free-form things too
     price: float = 40.0  # nats that a solid must gain to be believed

@@ -20,6 +20,7 @@ from derender.scene.distributions import Distribution
 from derender.scene.priors.bare_image import BareImagePrior, Loose
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.shapes import shapes
+from derender.scene.shapes.base import EXTENTS
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 
 CUBE = PLANE  # row of a table of sizes, besides BOX, CYLINDER and SPHERE: a plane has none
@@ -29,9 +30,10 @@ LOW, HIGH, FIRST = 0, 1, 2  # columns: where the table begins and ends, log metr
 EDGE = 3e-4  # metres
 ENDS = 1e-4, 1e3  # metres: of a table of what a prior does not have; none begins nearer to nothing
 REST = 1e-9  # probability in each tail that is cut off where a density has no end
-AXES = {"cube": ("side",) * 3, "box": ("length", "width", "height"), "sphere": ("radius",) * 3,
+AXES = {"cube": ("side",) * 3, "box": EXTENTS, "sphere": ("radius",) * 3,
         "cylinder": ("radius", "radius", "height")}  # fmt: skip
 ROWS = {"cube": CUBE, "box": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
+NAMES = {row: name for name, row in ROWS.items()}
 
 
 def sizes_of(prior: Any) -> np.ndarray:
@@ -117,7 +119,6 @@ def box_log_density(table, extents, upright):
 BARE_IMAGE = "bare-image"  # the name of the prior where none is given
 MOST = 40  # solids on a floor or on a top that are told apart by their number
 IMPOSSIBLE = -30.0  # nats of a number of solids, or a kind, that a prior rules out: inference comes from somewhere
-KINDS = {BOX: "box", CUBE: "cube", CYLINDER: "cylinder", SPHERE: "sphere"}
 AROUND = ("face-to-face", "point-on-face")  # contacts by which solids stand upright
 
 
@@ -187,7 +188,7 @@ def beliefs_of(prior: Any, likelihood: LikelihoodPrior | None = None) -> Beliefs
     """
     table = sizes_of(prior)
     kinds = np.full(4, IMPOSSIBLE)
-    for row, name in KINDS.items():
+    for name, row in ROWS.items():
         weight = sum(entry.weight for entry in prior.shapes.values() if entry.type == name)
         total = sum(entry.weight for entry in prior.shapes.values())
         if weight > 0.0:
@@ -196,11 +197,11 @@ def beliefs_of(prior: Any, likelihood: LikelihoodPrior | None = None) -> Beliefs
     if not isinstance(prior, GrammarPrior):
         assert usual is not None
         return usual._replace(sizes=table, kinds=kinds)
-    upright = np.array([math.log(max(share_upright(prior, KINDS[row]), math.exp(IMPOSSIBLE))) for row in range(4)])
-    tilted = np.array([math.log(max(1.0 - share_upright(prior, KINDS[row]), math.exp(IMPOSSIBLE)))
+    upright = np.array([math.log(max(share_upright(prior, NAMES[row]), math.exp(IMPOSSIBLE))) for row in range(4)])
+    tilted = np.array([math.log(max(1.0 - share_upright(prior, NAMES[row]), math.exp(IMPOSSIBLE)))
                        for row in range(4)])  # fmt: skip
     on_top = np.zeros((4, MOST + 1))
-    for row, name in KINDS.items():
+    for name, row in ROWS.items():
         counts = [prior.offspring.get(key) for key, entry in prior.shapes.items() if entry.type == name]
         on_top[row] = set_density(counts[0] if counts else None, 1.0)
     floors = [item.name for item in prior.base if shapes[item.shape.type].solid_kind == PLANE]

@@ -16,6 +16,7 @@ from derender.results.posterior import StructurePosterior
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating
 from derender.scene.pose import from_axes
+from derender.scene.shapes.base import EXTENTS
 from derender.scene.solids import BOX, SPHERE
 
 FLOOR_NAME = "floor"
@@ -39,7 +40,7 @@ def vertex_of(row: np.ndarray, cube: bool, name: str) -> Vertex:
     kind, size = int(row[0]), [float(s) for s in row[13:16]]
     if kind == BOX:
         shape = "cube" if cube else "box"
-        parameters = {"side": size[0]} if cube else dict(zip(("length", "width", "height"), size, strict=True))
+        parameters = {"side": size[0]} if cube else dict(zip(EXTENTS, size, strict=True))
     elif kind == SPHERE:
         shape, parameters = "sphere", {"radius": size[0] / 2}
     else:

@@ -13,7 +13,6 @@ from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
 from derender.render.blur import blur_taps
 from derender.render.raycast.convex import PREPARED, inverse_depths, prepare_solid
-from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
 FAR = 1e9
@@ -158,6 +157,3 @@ def make_row(kind: int, rotation: Any, centre: Any, size: Any) -> np.ndarray:
 def rotation_of(row: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3), object to floor, of a row."""
     return row[ROTATION:CENTRE].reshape(3, 3)
-
-
-KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}

@@ -14,6 +14,7 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution, distributions
 from derender.scene.graph import Contact, Vertex
 from derender.scene.shapes import shapes
+from derender.scene.shapes.base import opposite
 
 Value = float | Distribution
 
@@ -168,7 +169,6 @@ def identity(options: Mapping[str, Any]) -> tuple:
 TOP = "top"  # the face that looks up while the parent rests on the opposite one
 ON = "on"  # any contact by which something rests on the parent's top
 RESTING = ("face-to-face", "side-on-face", "point-on-face")  # what `on` leaves open
-_OPPOSITE = {"+": "-", "-": "+"}
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def top_face(shape: str, contact: str, child_face: Any) -> str | None:
     What floats under a frame counts as standing upright.
     """
     if contact == "face-to-face":
-        return _OPPOSITE[child_face[0]] + child_face[1:]
+        return opposite(child_face)
     return "+z" if contact == "6dof" and "+z" in shapes[shape].face_names else None
 
 

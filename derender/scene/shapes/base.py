@@ -21,7 +21,8 @@ EDGE_NAMES = tuple(
     f"{first}{AXES[i]}{second}{AXES[j]}" for i, j in ((0, 1), (0, 2), (1, 2)) for first, second in product("+-", "+-")
 )
 CORNER_NAMES = tuple(f"{x}x{y}y{z}z" for x, y, z in product("+-", "+-", "+-"))
-SIDES = tuple(Parameter(name, "m", 0.0, math.inf) for name in ("length", "width", "height"))
+EXTENTS = ("length", "width", "height")  # of a box along its x, y and z
+SIDES = tuple(Parameter(name, "m", 0.0, math.inf) for name in EXTENTS)
 
 Psi = Sequence[float] | np.ndarray
 Options = Mapping[str, Any]
@@ -159,6 +160,11 @@ class Body(NamedTuple):
     def drawn(self) -> tuple[int | None, Any, np.ndarray | None]:
         """Return (kind, extents, pose) of what `Solids` have of it, see `Shape.drawn`."""
         return self.shape.drawn(self.psi, self.options)
+
+
+def opposite(face: str) -> str:
+    """Return the face on the other side of a solid: "-z" of "+z"."""
+    return ("-" if face[0] == "+" else "+") + face[1:]
 
 
 def box_face(name: str, size: Any) -> Face:

@@ -11,6 +11,7 @@ from derender.scene.pose import from_axes, rotation_z
 from derender.scene.shapes.base import (
     CORNER_NAMES,
     EDGE_NAMES,
+    EXTENTS,
     FACE_NAMES,
     NONE,
     POINT,
@@ -106,7 +107,7 @@ class OpenBox(Shape):
     """
 
     parameters = (*SIDES, Parameter("wall", "m", 0.0, np.inf, WALL))
-    form_parameters = ("length", "width", "height", "wall")
+    form_parameters = (*EXTENTS, "wall")
     face_names = FACE_NAMES
     symmetry = Symmetry(np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])]))
 
