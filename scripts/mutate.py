@@ -158,7 +158,7 @@ MUTATIONS = [
         # what is seen
         ("gaussian: no normaliser", "render/likelihoods/pixelwise.py", "- math.log(spread) -", "-", SCORE),
         ("gaussian: half the residuals' weight", "render/likelihoods/pixelwise.py",
-         "-0.5 * (residual / spread) ** 2", "-0.25 * (residual / spread) ** 2", SCORE),
+         "density = -0.5 * (residual / spread) ** 2", "density = -0.25 * (residual / spread) ** 2", SCORE),
         # what happens next
         ("fall angle tripled", "physics/verdict.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
         ("calm a 25th as long", "physics/verdict.py", "CALM_TIME = 8e-3, 4.0", "CALM_TIME = 8e-3, 0.16",
