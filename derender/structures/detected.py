@@ -16,6 +16,7 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution, within
 from derender.scene.graph import ROOT, SceneGraph, Vertex, relative_pose
 from derender.scene.pose import from_axes, inverse, upright_frame
+from derender.scene.priors.objects import ROTATION
 from derender.scene.shapes import Body, Shape
 from derender.scene.shapes.kinds import ROTATIONS
 from derender.scene.solids import BOX
@@ -28,7 +29,6 @@ FACTORS, ROUNDS = (0.5, 0.65, 0.8, 0.9, 0.96, 1.04, 1.1, 1.25, 1.5), 2
 AGAIN = 2  # times that places are resized and cooled again: one ended 7,000 nats below where the next two did
 SAME = 1e-3  # nats in which two ways to turn a solid differ that make no difference
 UNSEEN = 1.0  # metres that an object counts as misplaced which is none of the solids: more than those of any that is
-QUATERNION = ("qw", "qx", "qy", "qz")
 EDGE_ON = 1e-6  # cosine between a plane and a direction from which on it runs along it
 
 
@@ -273,7 +273,7 @@ def at_solid(
         address = f"{vertex.name}.contact.{name}"
         scale = 1.0 if name in ("gap", "x", "y", "z") else reach  # what an angle or a share of a face is in metres
         law = laws.get(address)
-        if name in QUATERNION and rotation in laws:
+        if name in ROTATION and rotation in laws:
             values[name] = value
         elif law is None:
             off += 0.0 if name not in found.slack else scale * abs(value - values.get(name, 0.0))
