@@ -19,7 +19,6 @@ DENSITY = 500.0
 SHARE_OF_BOX = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4, "plane": 0.0}  # of the volume
 UPRIGHT = 0.9962
 """The level: within this cosine (5 degrees) a body stands upright."""
-MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "angular_velocity")
 
 
 class Body(NamedTuple):
@@ -145,7 +144,7 @@ def matter_of_graph(graph: SceneGraph, rng: np.random.Generator | None = None) -
 
     rng : draws what is a distribution; without it the means are taken.
     """
-    from derender.scene.priors.reading import drawn
+    from derender.scene.priors.reading import PHYSICAL, drawn
 
     solids = graph.solids()
     bodies = []
@@ -159,7 +158,7 @@ def matter_of_graph(graph: SceneGraph, rng: np.random.Generator | None = None) -
         if kind == "mesh":
             points = solids.meshes[int(solids.mesh[index])][0]
             vertices = points * (solids.size[index] / np.ptp(points, axis=0))
-        given = {key: options[key] for key in MATERIAL if key in options}
+        given = {key: options[key] for key in PHYSICAL if key in options}
         size, pose, own = np.array(solids.size[index]), np.array(solids.pose[index]), graph.body(name)
         parts = own.shape.convex_parts(own.psi, own.options)
         if kind == "box" and not own.shape.bounded:  # a plane that ends bears as a slab under it would

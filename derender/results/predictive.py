@@ -39,7 +39,6 @@ class Blocks(NamedTuple):
 
     rows: np.ndarray
     columns: np.ndarray
-    side: int  # of a block, pixels
     observed: np.ndarray  # (N,) metres, mean depth of the pixels that returned one
     scored: np.ndarray  # (S,) int, numbers of the draws in each chain that were scored
     log_likelihood: np.ndarray  # (chains, S, N), of all pixels of the block
@@ -80,7 +79,7 @@ def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: n
         return scores, np.reshape(images, (len(drawn), len(rows)))
 
     scores, images = map(np.array, zip(*in_threads(rng, [partial(told, chain=k) for k in range(chains)]), strict=True))
-    return Blocks(rows * side, columns * side, side, means(observed), scored, scores, drawn, images)
+    return Blocks(rows * side, columns * side, means(observed), scored, scores, drawn, images)
 
 
 def predictive_images(posterior: Posterior, camera: Camera, count: int, rng: np.random.Generator) -> np.ndarray:
