@@ -242,6 +242,22 @@ def test_a_rendering_is_told_from_what_a_sensor_saw(rng):
         assert drawn(depth, find_floor(depth, camera), camera) is expected
 
 
+def test_single_outliers_are_no_background_that_a_blur_mixes_with_what_is_beside_them(rng):
+    """Thin slabs over the floor explained the neighbours of each, and a box was told as five."""
+    scene = make_scene(rng, "cubes")
+    clean, camera = scene["clean"], scene["camera"]
+    depth = clean + rng.normal(0.0, 0.002, clean.shape)
+    floor = observe(depth, camera)
+    one = (floor.image.weight > 0) & ~floor.mask & ~floor.behind & (rng.random(clean.shape) < 0.02)
+    hole = np.zeros(clean.shape, bool)
+    hole[-30:-20, 20:40] = True  # a part of a room behind the floor is that
+    for away in (1.3, 0.7):
+        seen = observe(np.where(one, away * depth, depth), camera)
+        assert (np.abs(seen.image.floor - floor.image.floor)[one] < 0.01).mean() > 0.95
+    seen = observe(np.where(hole, 1.3 * depth, depth), camera)
+    assert np.allclose(seen.image.floor[hole], seen.image.depth[hole])
+
+
 def upright(yaw, centre, size, kind=BOX):
     c, s = np.cos(yaw), np.sin(yaw)
     return make_row(kind, [[c, -s, 0], [s, c, 0], [0, 0, 1]], centre, size)
