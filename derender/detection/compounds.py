@@ -177,14 +177,18 @@ def meets(
 def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None = None) -> Any:
     """Return (State without some solids, [mask]) with what they show as one free-form thing, if it is seen.
 
-    What is seen within a solid is the inside of a hollow one, as of a mug.
+    What is seen within a solid is the inside of a hollow one, as of a mug, and what goes on from it before it is its
+    handle.
 
     parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already.
     """
     image = seen.image
     _, label, misfit, _ = held_out(image, state, -1)
     inside = np.any([seen_within(seen, state.rows[k]) for k in parts], axis=0)
-    whole = np.isin(label, parts) & (image.weight > 0) & ((misfit < LIMIT) | inside)
+    own = np.isin(label, parts) & (image.weight > 0)
+    whole = own & ((misfit < LIMIT) | inside)
+    body, _ = label_bodies(seen.points, whole | (own & seen.mask), seen.surface.jump)
+    whole = np.isin(body, body[whole])
     if piece is not None:
         whole |= piece
     state = state.without(*parts)
