@@ -124,16 +124,16 @@ def write_touched(flags, slots, order, moves, touched):
 
 def own_members(chart: Chart, k: int) -> list[int]:
     """Return the sorted coordinates of a solid."""
-    return sorted({int(s) for s in chart.slots[k] if s >= 0})
+    return sorted({slot for slot in chart.slots[k].tolist() if slot >= 0})
 
 
 def blocks_of(chart: Chart) -> list[list[int]]:
     """Return lists of coordinates that move together: each solid, each support with what stands on it, the floor."""
     own = [own_members(chart, k) for k in range(len(chart.flags))]
-    blocks = list(own)
+    blocks, parents = list(own), chart.flags[:, PARENT].tolist()
     for k in range(len(own)):
-        carried = np.flatnonzero(chart.flags[:, PARENT] == k)
-        if len(carried):
+        carried = [j for j, parent in enumerate(parents) if parent == k]
+        if carried:
             blocks.append(sorted(own[k] + [m for j in carried for m in own[j]]))
     size = size_of(chart)
     return [*blocks, list(range(size - FLOOR_WAYS, size))]
@@ -247,7 +247,8 @@ def block_steps(chart, covariance, only=None, center=None):
     loose[turns[turns >= 0]] = loose[size - FLOOR_WAYS :] = LOOSE_TURN
     held = np.sqrt(np.diag(covariance)) < loose[members]
     precision = back.T @ np.linalg.inv(covariance + SHRINK**2 * np.eye(len(members))) @ back
-    blocks = {tuple(m for m in block if m in place): None for block in blocks_of(chart)}
+    together = blocks_of(chart)
+    blocks = {tuple(m for m in block if m in place): None for block in together}
     indices = [[place[m] for m in block] for block in blocks if block]
     factors = [factor_of_inverse(precision[np.ix_(index, index)]) for index in indices]
     matrices = [back[:, index] @ factor for index, factor in zip(indices, factors, strict=True)]
@@ -263,7 +264,7 @@ def block_steps(chart, covariance, only=None, center=None):
             pull[:, members] = factor.T @ precision[index] @ tops / WIDER
             step = step._replace(matrix=WIDER * step.matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
         steps.append(step)
-    if place.keys() > set(blocks_of(chart)[-1]):
+    if place.keys() > set(together[-1]):
         steps.append(floor_step(covariance + SHRINK**2 * np.eye(size), len(chart.flags), center))
     weight = 2.0 / sum(step.weight for step in steps)
     return [step._replace(weight=weight * step.weight) for step in steps]
