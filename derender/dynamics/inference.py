@@ -28,6 +28,9 @@ NEAR, NEAR_SPEED = 0.02, 0.2
 SHORT, LONG = 3, 8
 # How far below the best, in nats, a start may lie and still be followed.
 CLOSE = 10.0
+# From the best mode films of other frictions are fitted, by steps in its logarithm, until one is CLOSE no more or so
+# many steps from the best. A film that tells little of friction is linear in it for one such step.
+RUNG, MOST_RUNGS = 0.15, 3
 # Before the scales are learnt, engine and tracking are given much room: first velocities are poor.
 FIRST = Scales(0.3, 0.05, 4.0, 4.0)
 # The step in a scale's logarithm at which its density's curvature is measured.
@@ -61,6 +64,12 @@ class Mode(NamedTuple):
     log_marginal: float  # with all unknowns integrated out, linear about this mode
     covariance: np.ndarray  # (Z, Z) of all unknowns: changes at the cuts, offsets, coordinates
     first: np.ndarray  # (12 N, 12 N), covariance of the states in the first frame
+
+    @property
+    def follow(self) -> np.ndarray:
+        """(Z - P, P), by how much the likeliest changes at the cuts and offsets change with the coordinates."""
+        size = len(self.covariance) - len(self.path.coordinates)
+        return self.covariance[:size, size:] @ np.linalg.inv(self.covariance[size:, size:])
 
 
 class Draws(NamedTuple):
@@ -208,8 +217,9 @@ def distance_of(shooting: Shooting, coordinates: np.ndarray) -> float:
     return float(np.sum(np.log1p(far)))
 
 
-def find_modes(shooting: Shooting) -> list[Mode]:
-    """Return modes from several starts, the best first; those far below it are left out.
+def find_modes(shooting: Shooting) -> tuple[list[Mode], list[Mode]]:
+    """Return the best mode from several starts and those along friction from it, the best first; and those of other
+    starts that are not far below it.
 
     Starts climb with the material as it is: while first velocities are poor, another friction would make up for them,
     and a box that stuck on its edge would be taken for one that slid. The best goes on with lost poses counted as what
@@ -220,27 +230,61 @@ def find_modes(shooting: Shooting) -> list[Mode]:
     found = [find_mode(coarse, start, FIRST, SHORT, held=True) for start in starts]
     found.sort(key=lambda mode: -mode.log_marginal)
     best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].doubts)
-    return [best, *(mode for mode in found[1:] if mode.log_marginal > found[0].log_marginal - CLOSE)]
+    others = [mode for mode in found[1:] if mode.log_marginal > found[0].log_marginal - CLOSE]
+    return along_friction(shooting, best) if shooting.slides(best.path) else [best], others
 
 
-def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarray], float]:
-    """Return the log density of (coordinates, scales' logarithms), with the film linear in the states about a mode.
+def along_friction(shooting: Shooting, mode: Mode) -> list[Mode]:
+    """Return this mode and those of other frictions that are no worse than CLOSE, the best first: each fitted, its
+    friction held, from the one before.
+
+    Contacts make films so rugged that no slope leads to a friction that is far off, but the films that fit best with
+    each friction are smoothly better and worse.
+    """
+
+    def value(mode: Mode) -> float:
+        errors = shooting.errors(mode.path, mode.scales, mode.doubts)
+        held = log_marginal(shooting, mode.path, (mode.by_pose, mode.by_defect), errors, True)[0]
+        prior = shooting.parameters.prior.log_density_of_scales(np.log(mode.scales))
+        return held + prior + shooting.parameters.log_prior(mode.path.coordinates)
+
+    found = [(value(mode), mode)]
+    for sign in (-1.0, 1.0):
+        worth, last = found[0]
+        best, at = max(found, key=lambda pair: pair[0])
+        beyond = round(sign * (mode.path.coordinates[0] - at.path.coordinates[0]) / RUNG)
+        while beyond < MOST_RUNGS and worth > best - CLOSE:
+            off = np.zeros(shooting.parameters.size)
+            off[0] = sign * RUNG
+            path = shooting.stepped(last.path, np.concatenate([last.follow @ off, off]))
+            last = find_mode(shooting, path, last.scales, SHORT, mode.doubts, held=True)._replace(doubts=mode.doubts)
+            worth = value(last)
+            found.append((worth, last))
+            best, beyond = (worth, 0) if worth > best else (best, beyond + 1)
+    found.sort(key=lambda pair: -pair[0])
+    return [mode for worth, mode in found if worth > found[0][0] - CLOSE]
+
+
+def target_of(shooting: Shooting, modes: Sequence[Mode]) -> Callable[[np.ndarray, np.ndarray], float]:
+    """Return the log density of (coordinates, scales' logarithms), with the film linear in the states about the mode of
+    the nearest friction.
 
     It is so about the states that are likeliest with these coordinates: with those of the mode itself a film of another
     friction would be late for a blow, which is not linear.
     """
-    parameters, size = shooting.parameters, shooting.size
-    follow = mode.covariance[:size, size:] @ np.linalg.inv(mode.covariance[size:, size:])
-    tells = shooting.tells(mode.path)
+    parameters = shooting.parameters
+    frictions = np.array([mode.path.coordinates[0] for mode in modes])
+    tells = shooting.tells(modes[0].path)
 
     def density(coordinates: np.ndarray, logarithms: np.ndarray) -> float:
         prior = parameters.log_prior(coordinates) + parameters.prior.log_density_of_scales(logarithms)
         outside = parameters.inside(coordinates) != coordinates
         if not np.isfinite(prior) or np.delete(outside, 1).any():
             return -np.inf
+        mode = modes[int(np.argmin(np.abs(frictions - coordinates[0])))]
         off = np.where(tells, coordinates - mode.path.coordinates, 0.0)
         try:
-            path = shooting.stepped(mode.path, np.concatenate([follow @ off, off]))
+            path = shooting.stepped(mode.path, np.concatenate([mode.follow @ off, off]))
         except Diverged:
             return -np.inf
         about = mode.path._replace(coordinates=mode.path.coordinates + off)
@@ -346,7 +390,7 @@ class Identified(NamedTuple):
     """What the motion tells."""
 
     parameters: Parameters  # what the coordinates mean
-    modes: list[Mode]  # found, the best first
+    modes: list[Mode]  # along friction, the best first
     draws: Draws  # weighted, of coordinates and scales
     told: np.ndarray  # (P,) bool, which coordinates the film tells; of the others the draws are the prior's
 
@@ -356,8 +400,8 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     engine = Engine(motion.matter, motion.names, motion.step)
     parameters = Parameters(motion.names, engine.masses, prior or read_dynamics_prior())
     shooting = Shooting(motion, parameters, engine)
-    modes = find_modes(shooting)
-    found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws, shooting.struck)
+    modes, others = find_modes(shooting)
+    found = sample(target_of(shooting, modes), parameters, [*modes, *others], rng, draws, shooting.struck)
     told = shooting.tells(modes[0].path)
     told[0] = shooting.slides(modes[0].path)
     if shooting.struck and found.power < CHAOTIC:
