@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
-from derender.camera.windows import greatest, total
+from derender.camera.windows import greatest
 from derender.detection.background import beyond_outline, main_part, quarter_turns, standing_bodies, walls_behind
 from derender.detection.floor import (
     GRAZING,
@@ -44,6 +44,7 @@ from derender.detection.floors import (
 )
 from derender.detection.patches import Patches, SeenSurface, find_patches, turned
 from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
+from derender.detection.search.bodies import label_bodies
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.detection.solids.misfit import AS_SEEN
@@ -57,9 +58,9 @@ AWAY = 0.05  # metres, seen from USUAL, off what stands on it from which on a re
 # Columns of an image of independent noise up to which all its pixels are drawn from where the search looks at half as
 # many: where a jump lies within a pixel its blur tells, which no blur of the pixels of a smaller image explains.
 MOST_DRAWN = 320
-# Pixels of background among the nine about one up to which it is an outlier. Explained as it is the blur would mix it
-# with those beside it, where it is not seen, and thin slabs explained them: of 20 images with 2 % of outliers three.
-SPECKLE = 2
+# Pixels of a piece of background up to which it is made of outliers. Explained as it is the blur would mix it with
+# those beside it, where it is not seen, and thin slabs explained them: of 20 images with 2 % of outliers three.
+SPECKLE = 7
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
 MARGIN = 0.01  # metres, seen from USUAL, beyond the outline of the visible floor that still count as over it
 LOWEST = 0.004  # metres over the floor from which on something stands on it; less of it where it is nearer than USUAL
@@ -357,7 +358,7 @@ def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, bac
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask
     background = (background & ~on_wall) | beyond
     if correlation <= CORRELATED:
-        background &= total(background.astype(float), 1) > SPECKLE
+        background &= ~small_pieces(points, background)
     image.floor[background] = image.depth[background] + 1e-9
 
     # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
@@ -370,6 +371,13 @@ def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, bac
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
                        depth, camera, beyond_edge, backdrop is not None, wall=wall)  # fmt: skip
+
+
+def small_pieces(points: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: the pixels of a mask that at most SPECKLE of it, side by side or cornerwise, join, however
+    far apart their points (H, W, 3) are."""
+    piece, count = label_bodies(points, mask, np.full(mask.shape, np.inf))
+    return mask & (np.append(np.bincount(piece[mask], minlength=count), 0)[piece] <= SPECKLE)
 
 
 def nearest_pixels(count: int, factor: int, among: int, others: int) -> np.ndarray:
