@@ -41,7 +41,7 @@ def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rotations, signs, axes
 
 
-_ROTATIONS, _SIGNS, _AXES = _tables()
+_ROTATIONS, SIGNS, _AXES = _tables()
 _rotation_of = njit(cache=True, nogil=True)(rotation_numbers)
 _quaternion_of = njit(cache=True, nogil=True)(quaternion_numbers)
 
@@ -72,8 +72,8 @@ def rotation_by(contact, child_face, theta, first, second):
         cx, sx = math.cos(0.5 * second), -math.sin(0.5 * second)
         w, x, y, z = cy * cx, cy * sx, sy * cx, -sy * sx
     elif contact == CORNER_ON_FACE:
-        beta = 0.5 * math.pi - _SIGNS[child_face, 2] * second
-        alpha = math.atan2(_SIGNS[child_face, 1] * math.sin(first), _SIGNS[child_face, 0] * math.cos(first))
+        beta = 0.5 * math.pi - SIGNS[child_face, 2] * second
+        alpha = math.atan2(SIGNS[child_face, 1] * math.sin(first), SIGNS[child_face, 0] * math.cos(first))
         cy, sy = math.cos(0.5 * beta), math.sin(0.5 * beta)
         ca, sa = math.cos(0.5 * alpha), math.sin(0.5 * alpha)
         w, x, y, z = cy * ca, sy * sa, sy * ca, cy * sa
@@ -108,12 +108,12 @@ def relative_pose(contact, parent_kind, parent_size, child_kind, child_size, par
         m0 = on[i, 0] * q[0] + on[i, 1] * q[3] + on[i, 2] * q[6]
         m1 = -(on[i, 0] * q[1] + on[i, 1] * q[4] + on[i, 2] * q[7])
         m2 = -(on[i, 0] * q[2] + on[i, 1] * q[5] + on[i, 2] * q[8])
-        shift = on[i, 0] * x + on[i, 1] * y + on[i, 2] * height + 0.5 * _SIGNS[parent_face, i] * parent_size[i]
+        shift = on[i, 0] * x + on[i, 1] * y + on[i, 2] * height + 0.5 * SIGNS[parent_face, i] * parent_size[i]
         # ... and of the child itself: rotation times F_child^T, its origin taken back.
         for j in range(3):
             value = m0 * by[j, 0] + m1 * by[j, 1] + m2 * by[j, 2]
             out[i, j] = value
-            shift -= value * 0.5 * _SIGNS[child_face, j] * child_size[j]
+            shift -= value * 0.5 * SIGNS[child_face, j] * child_size[j]
         out[i, 3] = shift
 
 
@@ -133,7 +133,7 @@ def chart_of(contact, child_face, turned):
         if contact == EDGE_ON_FACE:
             second = min(max(second, 0.0), 0.5 * math.pi)
     elif contact == CORNER_ON_FACE:
-        sx, sy, sz = _SIGNS[child_face, 0], _SIGNS[child_face, 1], _SIGNS[child_face, 2]
+        sx, sy, sz = SIGNS[child_face, 0], SIGNS[child_face, 1], SIGNS[child_face, 2]
         beta = math.atan2(math.hypot(turned[0, 2], turned[1, 2]), turned[2, 2])
         alpha = math.atan2(turned[2, 1], -turned[2, 0])
         theta = math.atan2(turned[1, 2], turned[0, 2])
@@ -167,9 +167,9 @@ def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_fac
     shift = np.empty(3)
     middle = np.empty((3, 3))
     for i in range(3):
-        shift[i] = relative[i, 3] - 0.5 * _SIGNS[parent_face, i] * parent_size[i]
+        shift[i] = relative[i, 3] - 0.5 * SIGNS[parent_face, i] * parent_size[i]
         for j in range(3):
-            shift[i] += relative[i, j] * 0.5 * _SIGNS[child_face, j] * child_size[j]
+            shift[i] += relative[i, j] * 0.5 * SIGNS[child_face, j] * child_size[j]
             middle[i, j] = relative[i, 0] * by[0, j] + relative[i, 1] * by[1, j] + relative[i, 2] * by[2, j]
     for i in range(3):
         place[i] = on[0, i] * shift[0] + on[1, i] * shift[1] + on[2, i] * shift[2]
