@@ -114,6 +114,7 @@ def accelerated(friction, speed, acceleration):
     return seen._replace(poses=poses), shared
 
 
+@pytest.mark.slow
 def test_what_all_poses_are_off_by_together_is_not_taken_for_friction():
     """A camera that was thought to be slowed slowed what it saw, and its friction was sure and wrong (slide 31015)."""
     seen, shared = accelerated(0.3, 1.5, acceleration=0.2)
@@ -322,9 +323,8 @@ def test_what_a_moving_body_comes_near_moves_too_and_what_stands_aside_does_not(
     assert film.names == ("slider", "near")
 
 
-@pytest.mark.parametrize(
-    "friction, ratio, restitution", [(0.28, 0.6, 0.1), pytest.param(0.22, 1.6, 0.6, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("friction, ratio, restitution", [(0.28, 0.6, 0.1), (0.22, 1.6, 0.6)])
 def test_momentum_tells_the_ratio_of_masses_whatever_a_blow_gives_back(friction, ratio, restitution):
     """Films of blows were trusted: they are chaotic, and one with .74 times the mass was sure where .41 was true."""
     film = collision(friction, ratio, restitution, np.random.default_rng(3), 3e-4)
