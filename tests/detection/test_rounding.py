@@ -6,6 +6,7 @@ import pytest
 from derender.camera.intrinsics import Camera
 from derender.detection.floor import neighbour_correlation
 from derender.detection.floors import find_floor
+from derender.detection.pyramid import reduce
 from derender.detection.rounding import dithered, steps_of
 from derender.structures.infer import infer_structure
 from worlds.made_scenes import drawn_scene, make_scene
@@ -65,13 +66,17 @@ def test_a_rounded_rendering_has_noise_and_nothing_else_has_more(rng, scene):
         assert dithered(rng, depth, camera) is depth
 
 
-def test_neighbours_no_longer_share_what_rounding_is_off_by(rng):
-    """A level camera sees each row of a floor at one depth: rounded, all of it is off by the same."""
-    camera = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)
+@pytest.mark.parametrize("times", [1, 4], ids=["as it is", "reduced"])
+def test_neighbours_no_longer_share_what_rounding_is_off_by(rng, times):
+    """A level camera sees each row of a floor at one depth: rounded, all of it is off by the same, and the mean of a
+    block's pixels, in an image that is reduced, has less noise of each pixel's own."""
+    middle = np.array([79.5, 59.5]) * times + 0.5 * (times - 1)
+    camera = Camera(150.0 * times, 150.0 * times, *middle, 160 * times, 120 * times)
     floor = np.array([0.0, -np.cos(0.6), -np.sin(0.6)])
     depth = np.round(-0.5 / (camera.rays() @ floor), 3)
-    for image, low, high in ((depth, 0.9, 1.01), (dithered(rng, depth, camera), 0.05, 0.25)):
-        assert low < neighbour_correlation(image, find_floor(image, camera), camera) < high
+    for image, low, high in ((depth, 0.9, 1.01), (dithered(rng, depth, camera), 0.05, 0.2)):
+        small, seen_by, _ = reduce(image, camera, 160)
+        assert low < neighbour_correlation(small, find_floor(small, seen_by), seen_by) < high
 
 
 @pytest.mark.parametrize("rounded", [lambda depth: np.round(depth, 3), in_disparity], ids=["millimetres", "disparity"])
