@@ -64,10 +64,8 @@ def residuals(depth: np.ndarray, camera: Camera, name: str) -> tuple[np.ndarray,
     if np.nanstd(residual) < LEAST_NOISE:
         what = f"the table shows no noise ({1e6 * np.nanstd(residual):.2g} micrometres)"
         raise DerenderError(what, name, "give frames of a real sensor, as it writes them")
-    within = least_step(np.unique(depth[seen])) * (
-        np.random.default_rng(0).random(depth.shape) - 0.5
-    )  # one frame has one residual
-    return residual + within, np.where(np.isfinite(plane), plane, 0.0)
+    within = np.random.default_rng(0).random(depth.shape) - 0.5  # of a step; one frame has one residual
+    return residual + least_step(np.unique(depth[seen])) * within, np.where(np.isfinite(plane), plane, 0.0)
 
 
 def whole_patches(inliers: np.ndarray) -> np.ndarray:

@@ -126,20 +126,20 @@ def on_one_floor(
         hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
     masks: list[Any] = []
     clutter: list[Any] = []
-    none = False
+    in_vain = False
     try:
         if settings.free_forms and seen.correlation > CORRELATED:
             first = first_search(rng, seen.image, hypotheses, settings)
             first, masks = take_things(seen, first, settings, RELUCTANT)
             state, image, agreed = search(rng, seen.image, hypotheses, settings, pool, first)
         else:
-            state, image, agreed, none = searched_well(rng, seen, hypotheses, settings, pool)
+            state, image, agreed, in_vain = searched_well(rng, seen, hypotheses, settings, pool)
         seen = seen._replace(image=image, agreed=agreed)
     except Interrupted as stopped:
         state, image = stopped.state, stopped.image
         seen = seen._replace(image=image, interrupted=True)
     if settings.free_forms:
-        state, more = (state, []) if none else take_things(seen, state, settings)
+        state, more = (state, []) if in_vain else take_things(seen, state, settings)
         masks += more
         if more and len(state):
             state = settle(rng, image, state, settings)

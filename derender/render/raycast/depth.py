@@ -100,9 +100,11 @@ def render_depth(
     antialias : n casts n x n rays a pixel on a regular grid and averages their depths.
     background : depth in metres where nothing is hit.
 
-    Returns depth : (height, width) float64, metres along the optical axis. With antialias > 1 the mean over the rays
-        that hit something, or over all rays if `background` is a number.
-    and label : (height, width) int32, index of the solid at the pixel's centre (antialiased: of the ray nearest to it),
+    Returns (depth, label).
+
+    depth : (height, width) float64, metres along the optical axis. With antialias > 1 the mean over the rays that hit
+        something, or over all rays if `background` is a number.
+    label : (height, width) int32, index of the solid at the pixel's centre (antialiased: of the ray nearest to it),
         -1 where nothing is hit.
     """
     n = int(antialias)

@@ -121,9 +121,11 @@ def render_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render depth and labels; the interface is the package's.
 
-    Returns depth : (height, width) float64, metres along z; `background` where nothing is hit.
+    Returns (depth, label).
+
+    depth : (height, width) float64, metres along z; `background` where nothing is hit.
         With antialias n > 1 the mean over n x n samples a pixel.
-    and label : (height, width) int32, index into `solids` or -1; always from the sample at the pixel's centre,
+    label : (height, width) int32, index into `solids` or -1; always from the sample at the pixel's centre,
         or next to it where antialias is even.
 
     Raises DerenderError : OpenGL does not work here; says what to install.
