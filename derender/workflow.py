@@ -3,7 +3,7 @@
 import contextlib
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +13,8 @@ import numpy as np
 from derender.atomic import make_folder
 from derender.camera.camera_file import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.depth_file import DepthImage, Reading
+from derender.camera.intrinsics import Camera
+from derender.camera.repeats import Enlargement, as_made, enlargement_of
 from derender.compilation.threads import import_in_background, interruptible
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, Idle, at_fault, idle_lines
@@ -43,6 +45,8 @@ IDLE = (  # beside the method, and whether the objects are given
 )  # fmt: skip
 
 AS_IT_IS = Reading()
+
+IN_PIXELS = ("blur", "reach", "reach_down")  # of a likelihood's numbers
 
 Say = Callable[[str], None]
 Progress = Callable[[float, str], None]
@@ -142,7 +146,7 @@ def read_frames(images: Sequence[str], poses: str | None, reading: Reading) -> t
         if known is not None:
             first, own = (turned_pose(pose, reading.rotate) for pose in (known[0], known[k]))
             into = inverse(own) @ first
-        frames.append(Frame(seen.depth, seen.camera, into, name))
+        frames.append(Frame(*as_made(seen.depth, seen.camera), into, name))
     return tuple(frames)
 
 
@@ -241,6 +245,14 @@ def infer_image(
     Returns the posterior, and the likelihood under which it explains the image. The one state outside is the folder of
     checkpoints, where `options` name one.
     """
+    enlargement = enlargement_of(seen.depth)
+    if enlargement is not None:
+        small, camera = enlargement.reduced(seen.depth), enlargement.camera(seen.camera)
+        warn(f"pixels repeat: taken as the {camera.width} x {camera.height} of which the image was made")
+        own = seen._replace(depth=small, camera=camera)
+        posterior, likelihood = infer_image(own, document, options, progress, warn, command)
+        fixed = {**likelihood.values, **in_its_pixels(likelihood.fixed, enlargement)}
+        return as_enlarged(posterior, seen.camera, enlargement), replace(likelihood, values=fixed)
     must_stand = options.assume_stable
     if document is not None and getattr(document.prior, "constraints", None):
         from derender.physics.constraint import without_stands
@@ -269,6 +281,22 @@ def infer_image(
         "lost_chains": sorted(lost),
     }
     return replace(posterior, seed=options.seed, meta=meta), likelihood
+
+
+def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement) -> Posterior:
+    """Return the posterior of a smaller image as that of the image, of this camera, that was made of it."""
+    told, meta = posterior.explanation, {**posterior.meta, "camera": camera.to_dict()}
+    if told is not None:
+        label, depth = (enlargement.enlarged(each) for each in (told.label, told.depth))
+        told = told._replace(label=label, depth=depth)
+    if "likelihood" in meta:
+        meta["likelihood"] = in_its_pixels(meta["likelihood"], enlargement)
+    return replace(posterior, explanation=told, meta=meta)
+
+
+def in_its_pixels(numbers: Mapping[str, Any], enlargement: Enlargement) -> dict[str, Any]:
+    """Return a likelihood's numbers given a smaller image with those in pixels in those of the image made of it."""
+    return {**numbers, **{name: enlargement.ratio * numbers[name] for name in IN_PIXELS if name in numbers}}
 
 
 def _given(
