@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, median_filter
 
 from derender import data_path
 from derender.camera.intrinsics import Camera
+from derender.detection.search.observation import CORRELATED, observe
 from derender.detection.solids.beliefs import bare_image, sensor_beliefs
 from derender.document import LikelihoodPrior, read_document, read_prior_document
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
+from derender.results.fit import BACKGROUND
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.draws.sensor import ROUNDS, Sensor, under_shared_noise
@@ -23,11 +25,12 @@ SIZE = np.array([0.14, 0.10, 0.12])
 NOISE = {"sigma": 0.001, "sigma_growth": 0.001, "step": 0.0003, "white": 0.05, "reach": 3.0, "reach_down": 2.0}
 
 
-def box_on_a_table():
-    root = translation(0.0, 0.05, 0.75) @ rotation_x(np.radians(125.0))
+def box_on_a_table(camera=CAMERA, pitch=35.0):
+    """Return the depth image that a camera shows of the box, where it looks so many degrees down."""
+    root = translation(0.0, 0.05, 0.75) @ rotation_x(np.radians(90.0 + pitch))
     box = root @ translation(0.0, 0.0, SIZE[2] / 2) @ rotation_z(0.5)
     sizes, none = np.array([np.zeros(3), SIZE]), np.full(2, -1, np.int32)
-    return render_depth(Solids(np.array([PLANE, BOX], np.int32), np.array([root, box]), sizes, none), CAMERA)[0]
+    return render_depth(Solids(np.array([PLANE, BOX], np.int32), np.array([root, box]), sizes, none), camera)[0]
 
 
 def believed():
@@ -93,3 +96,22 @@ def test_a_bare_image_is_inferred_under_it():
         observed, CAMERA, replace(options, likelihood=document.likelihood), np.random.default_rng(0)
     )
     assert usual.parts[0].extras["likelihood"]["type"] == "correlated"  # as the image shows by itself
+
+
+def test_of_an_image_whose_neighbours_share_noise_that_hides_in_half_as_many_pixels_single_ones_are_drawn_from():
+    camera, rng = Camera(220.0, 220.0, 127.5, 95.5, 256, 192), np.random.default_rng(6)
+    clean, white = box_on_a_table(camera), 0.002 * rng.standard_normal((192, 256))
+    enlarged = np.kron(white[::2, ::2], np.ones((2, 2)))
+    assert observe(clean + white, camera).single.shape == (192, 256)
+    seen = observe(clean + enlarged, camera)
+    assert seen.correlation <= CORRELATED and seen.single.shape == (96, 128)
+
+
+def test_a_far_wall_of_one_depth_is_explained_as_background():
+    rng = np.random.default_rng(7)
+    depth = np.fmin(box_on_a_table(pitch=10.0), 6.0)
+    depth += 0.002 * median_filter(rng.standard_normal(depth.shape), 3)
+    posterior = infer_structure(depth, CAMERA, Options(quick=True, method="map"), np.random.default_rng(8))
+    far = depth > 0.995 * 6.0
+    assert far.mean() > 0.1 and (posterior.explanation.label[far] == BACKGROUND).all()
+    assert posterior.best_part.weight > 0.5
