@@ -173,10 +173,11 @@ class Explanation(NamedTuple):
     names: tuple[str, ...]  # names of the solids, without floors, in the order of the graph's vertices
 
     def share(self, seen: np.ndarray, within: float = 0.03) -> float:
-        """Return which share of the valid pixels of `seen` (H, W) is explained to so many metres."""
+        """Return which share of the valid pixels of `seen` (H, W) is explained to so many metres, or far away to
+        NEAR_SHARE of the depth."""
         valid = np.isfinite(seen) & (seen > 0)
         with np.errstate(invalid="ignore"):
-            near = np.abs(self.depth - seen) < within
+            near = np.abs(self.depth - seen) < np.maximum(within, NEAR_SHARE * seen)
         return float(near[valid].mean()) if valid.any() else 0.0
 
     def borne_out(self, seen: np.ndarray) -> dict[str, float]:

@@ -207,7 +207,7 @@ def explanation_of(
         own = (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & ~seen.behind
         for thing in seen.things:
             own &= ~thing.mask
-        there = ~of_whole_image(seen.behind, seen, depth.shape)
+        there = ~of_whole_image(seen.behind | seen.on_wall, seen, depth.shape)
         behind &= ~there
         bent |= of_whole_image(own, seen, depth.shape)
         if seen.bend is not None:
