@@ -21,12 +21,11 @@ from derender.detection.outline import ends_of
 from derender.detection.search.bodies import body_hypotheses, box_about, bridged, label_bodies
 from derender.detection.search.greedy import Settings, Task, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
-from derender.detection.search.proposals import Hypothesis
 from derender.detection.search.searches import Climb, merged
 from derender.detection.segments import two_sides
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.state import State, held_out, run_polish
+from derender.detection.solids.state import Solid, State, held_out, run_polish
 from derender.detection.solids.support import assign_supports, share_over
 from derender.detection.things import (
     BAD,
@@ -44,7 +43,6 @@ from derender.detection.things import (
     shows_below,
     standing,
 )
-from derender.scene.solids import BOX
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least, unless
@@ -134,9 +132,9 @@ def with_solid(
     image, bottom = seen.image, standing(seen, state, mask)[1]
     before, tries = total_energy(image, state, settings), polished(rng, seen, state, -1, mask, bottom, settings)
     best, least = state, np.inf
-    for _, _, row, h in tries[:FINISHED]:
+    for *_, solid in tries[:FINISHED]:
         only = {len(state)}
-        new = assign_supports(image, state.add(row, h.form, h.cube), settings, only)
+        new = assign_supports(image, state.add(*solid), settings, only)
         sweep(rng, image, new, settings, ROUNDS, only=only)
         new = try_cubes(rng, image, new, settings, only=only)
         if (energy := total_energy(image, new, settings)) < least:
@@ -145,8 +143,8 @@ def with_solid(
 
 
 def polished(rng: np.random.Generator, seen: Observation, state: State, i: int, mask: np.ndarray, bottom: float,
-             settings: Settings) -> list[tuple[float, int, np.ndarray, Hypothesis]]:  # fmt: skip
-    """Return sorted (energy, number, row, hypothesis) of solids on a height that explain the pixels of a mask (H, W).
+             settings: Settings) -> list[tuple[float, int, Solid]]:  # fmt: skip
+    """Return sorted (energy, number, Solid) of solids on a height that explain the pixels of a mask (H, W).
 
     i : index of the solid that they take the place of; -1: none.
     """
@@ -155,10 +153,10 @@ def polished(rng: np.random.Generator, seen: Observation, state: State, i: int, 
     hypotheses = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
     if "box" in settings.shapes:
         turns = np.pi / 2 * np.arange(YAWS) / YAWS
-        hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False) for yaw in turns]
-    for h in hypotheses:
-        row, energy, _ = run_polish(rng, image, state, i, h.row, h.form, h.cube, view, bottom, settings, ROUNDS)
-        tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))
+        hypotheses += [Solid(box_about(points, yaw, bottom), UPRIGHT) for yaw in turns]
+    for each in hypotheses:
+        solid, energy = run_polish(rng, image, state, i, each._replace(bottom=bottom), view, settings, ROUNDS)
+        tries.append((energy + complexity(solid, settings), len(tries), solid))
     return sorted(tries)
 
 
@@ -202,5 +200,5 @@ def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: S
 def gain_of_thing(seen: Observation, state: State, mask: np.ndarray, cost: Cost, settings: Settings) -> float:
     """Return the tempered nats by which a free-form thing explains the pixels of a mask (H, W) better than nothing."""
     misfit = held_out(seen.image, state, -1)[2]
-    price = complexity(BOX, UPRIGHT, False, settings) + settings.temper * cost.numbers(mask)
+    price = settings.price_of_box + settings.temper * cost.numbers(mask)
     return float((misfit - cost.misfit)[mask].sum()) - price

@@ -19,14 +19,13 @@ from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
 from derender.detection.patches import components, separation, turned
 from derender.detection.search.bodies import label_bodies
-from derender.detection.search.greedy import Settings, complexity, total_energy
+from derender.detection.search.greedy import Settings, total_energy
 from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import FAR, Image, make_row
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT, WALL
-from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, subset
 from derender.detection.solids.support import flat_top, share_over
 from derender.results.fit import NOISES, STEP, means_about
@@ -288,7 +287,7 @@ def pieces_of(seen: Observation, state: State, cost: Cost, settings: Settings) -
     label, count, edges = segments(seen.surface, left, cost.normal)
     if count == 0:
         return [], 0.0
-    price, nats = complexity(BOX, UPRIGHT, False, settings), nats_of_edges(seen, cost, settings)
+    price, nats = settings.price_of_box, nats_of_edges(seen, cost, settings)
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
     owner, _ = joined(seen.surface, label, edges, price, nats, area, cost.believed)
     thing = np.append(owner, -1)[label]  # of each pixel
@@ -327,7 +326,7 @@ def nats_of_joins(seen: Observation, mask: np.ndarray, cost: Cost, settings: Set
     if count < 2:
         return np.inf
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
-    price, nats = complexity(BOX, UPRIGHT, False, settings), nats_of_edges(seen, cost, settings)
+    price, nats = settings.price_of_box, nats_of_edges(seen, cost, settings)
     owner, least = joined(seen.surface, label, edges, price, nats, area, cost.believed)
     return float(least.min()) / settings.temper if len(np.unique(owner)) == 1 else np.inf
 

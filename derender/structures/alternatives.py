@@ -127,13 +127,8 @@ def of_likeliest_shapes(
             best = likeliest
         others += [(i, gain, trial.state) for gain, trial in odds]
     floor = floor_pose_of(best)
-    return [(best, 0.0), *((unclimbed(swapped(best.state, i, state), floor, best.sensor, rules), gain)
+    return [(best, 0.0), *((unclimbed(best.state.swapped(i, state[i]), floor, best.sensor, rules), gain)
                            for i, gain, state in others)]  # fmt: skip
-
-
-def swapped(state: State, i: int, other: State) -> State:
-    """Return a state with solid `i` as it is in another."""
-    return state.changed(i, row=other.rows[i], form=other.forms[i], cube=other.cubes[i], bottom=other.bottoms[i])
 
 
 def tried(rng: np.random.Generator, best: Refined, state: State, places: list[int], rules: Rules, steps: int = QUICK,
@@ -318,9 +313,7 @@ def combined(rng: np.random.Generator, best: Refined, changes: Changes, rules: R
     """Return the Weighed of a structure with all these changes of single solids; None: it is far below the best."""
     state = best.state
     for k, each in changes:
-        own = each.trial.state
-        state = state.changed(k, row=own.rows[k], form=own.forms[k], cube=own.cubes[k], parent=own.parents[k],
-                              bottom=own.bottoms[k])  # fmt: skip
+        state = state.replaced(k, each.trial.state[k])
     solids = sorted(k for k, _ in changes)
     trial = tried(rng, best, state, solids, rules)
     return None if trial is None else of_block(rng, Block(trial, solids), Block(best, solids))

@@ -60,7 +60,7 @@ def changes(best: Refined, i: int) -> list[State]:
         # the middle one first: an extent that is told worst is off the others, too far for a walk along sharp edges
         for side in spaced([np.median(row[13:16]), *row[13:16], row[13:16].mean()], LEAST_APART):
             if np.median(np.abs(row[13:16] - side)) < 0.6 * side:
-                found += [state.changed(i, row=cube_of(row, side, corner, form), cube=True) for corner in corners]
+                found += [state.replaced(i, cube_of(state[i], side, corner)) for corner in corners]
     if int(row[0]) != SPHERE and form != FREE and not np.isnan(state.bottoms[i]) and not state.cubes[i]:
         for parent in supports_within(state, i):
             height = 0.0 if parent == FLOOR else highest(state.rows[parent])

@@ -205,9 +205,9 @@ def best_upright(rng: np.random.Generator, seen: Observation, state: State, i: i
                  settings: Settings) -> list[np.ndarray]:  # fmt: skip
     """Return the row of the upright solid of each kind that explains a mask (H, W) best, the best first: see
     `polished`."""
-    best: dict[float, np.ndarray] = {}
+    best: dict[int, np.ndarray] = {}
     upright = settings._replace(shapes=tuple(shape for shape in settings.shapes if shape != "sphere"))
-    for _, _, row, h in polished(rng, seen, state, i, shown, bottom, upright):
-        if h.form == UPRIGHT:
-            best.setdefault(row[0], row)
+    for *_, solid in polished(rng, seen, state, i, shown, bottom, upright):
+        if solid.form == UPRIGHT:
+            best.setdefault(solid.kind, solid.row)
     return list(best.values())

@@ -16,7 +16,7 @@ from derender.detection.search.observation import Observation
 from derender.detection.solids.graph import matched_names, names_of, structure_key
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE
 from derender.detection.solids.interpenetration import highest, penetration
-from derender.detection.solids.state import State
+from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.blur import blur
 from derender.render.likelihoods.pixelwise import noise_at
@@ -164,10 +164,10 @@ def joined(looks: Sequence[Look], settings: Settings) -> list[tuple[State, float
 def completed(state: State, states: list[State]) -> State:
     """Return a State with the solids of others that lie elsewhere than all of its own, each on what bears it."""
     for other in states:
-        for k, row in enumerate(other.rows):
-            thin = row[SIZE:].min()
-            if all(penetration(row, own) < ENTERED * min(thin, own[SIZE:].min()) for own in state.rows):
-                state = state.add(row, other.forms[k], other.cubes[k], bottom=other.bottoms[k])
+        for solid in other:
+            thin = solid.row[SIZE:].min()
+            if all(penetration(solid.row, own) < ENTERED * min(thin, own[SIZE:].min()) for own in state.rows):
+                state = state.add(*solid._replace(parent=FLOOR))
     return on_supports(state)
 
 
@@ -182,8 +182,7 @@ def as_others_have_it(state: State, states: list[State], looks: Any, settings: S
             for j, name in enumerate(names):
                 if name not in own:
                     continue
-                trial = on_supports(state.changed(own.index(name), row=other.rows[j], form=other.forms[j],
-                                                  cube=other.cubes[j], bottom=other.bottoms[j]))  # fmt: skip
+                trial = on_supports(state.swapped(own.index(name), other[j]))
                 value = energy_of(looks, trial, settings)
                 if value < energy:
                     state, energy = trial, value

@@ -18,7 +18,6 @@ from derender.detection.search.places import guesses
 from derender.detection.solids.beliefs import CUBE, FIRST, HIGH, LOW, NODES, Beliefs, bare_image
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE, Image, make_image, make_row
 from derender.detection.solids.interpenetration import highest, penetration
-from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
@@ -139,10 +138,8 @@ def with_one_more(
         near = [*body_hypotheses(points, image.origin, settings.shapes, bottom),
                 *guesses(rng, image, points, settings.shapes, bottom, view[0], view[2])]  # fmt: skip
         for each in near:
-            held = bottom if each.form == UPRIGHT else np.nan
-            row, energy, _ = run_polish(rng, image, state, -1, each.row, each.form, False, view, held, settings, 200,
-                                        0.006)  # fmt: skip
-            found.append((energy, len(found), state.add(row, each.form, False, parent, held)))
+            solid, energy = run_polish(rng, image, state, -1, each.on(bottom, parent), view, settings, 200, 0.006)
+            found.append((energy, len(found), state.add(*solid)))
     return [new for _, _, new in sorted(found, key=lambda each: each[:2])[:CLIMBED]]
 
 

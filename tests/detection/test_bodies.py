@@ -171,12 +171,11 @@ def test_a_new_solid_costs_what_it_adds_to_the_energy():
     scene = seen_from_afar(0)
     state, seen = point_estimate(np.random.default_rng(0), scene["depth"], scene["camera"])
     settings, without = Settings(), state.without(0)
-    view, row = held_out(seen.image, without, -1), state.rows[0]
+    view, solid = held_out(seen.image, without, -1), state[0]._replace(cube=False, parent=FLOOR, bottom=0.0)
     assert len(without) == 2 and without.bottoms == [0.0, 0.0]
-    _, energy, _ = run_polish(np.random.default_rng(0), seen.image, without, -1, row, state.forms[0], False, view,
-                              0.0, settings, 0)  # fmt: skip
-    energy += complexity(int(row[0]), state.forms[0], False, settings)
-    whole = without.add(row, state.forms[0], False, FLOOR, 0.0)
+    _, energy = run_polish(np.random.default_rng(0), seen.image, without, -1, solid, view, settings, 0)
+    energy += complexity(solid, settings)
+    whole = without.add(*solid)
     added = total_energy(seen.image, whole, settings) - total_energy(seen.image, without, settings)
     assert energy == pytest.approx(added, rel=1e-5), "tries are scored in float32, 6e-8 of each pixel's misfit off"
 

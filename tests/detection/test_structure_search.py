@@ -14,7 +14,6 @@ from derender.detection.floors import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.greedy import Settings, Task, prune, rise, total_energy
 from derender.detection.search.observation import observe, patches_of
-from derender.detection.search.proposals import Hypothesis
 from derender.detection.search.searches import (
     Climb,
     crossed,
@@ -28,7 +27,7 @@ from derender.detection.solids.image import FAR, draw, make_image, make_row
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, penetration_beyond
 from derender.detection.solids.misfit import added_misfit, misfit_map
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.state import FLOOR, Solid, State
 from derender.errors import DerenderError
 from derender.evaluation.convex import intersection_volume
 from derender.scene.pose import random_rotation, rotation_x, rotation_z
@@ -337,7 +336,7 @@ def test_what_one_kind_of_solid_explains_badly_is_explained_by_the_other(rng, sh
         row = row.copy()
         row[10:12] += 0.01
         row[13:16] *= 1.1
-        rough.append(Hypothesis(row, UPRIGHT, False))
+        rough.append(Solid(row, UPRIGHT, False))
     climb = Climb(rng, Task(image, Settings(), rough[len(right) :]), state)
     explain_otherwise(climb)
     assert climb.state is state
@@ -453,8 +452,8 @@ def test_a_slab_is_no_higher_than_its_top_though_it_is_tilted():
     """It is sunk in the floor, whose bend it stands for, and one of its edges is over that."""
     turned = rotation_x(np.radians(2.0))[:3, :3]
     slab = make_row(BOX, turned, np.array([0.0, 0.0, -0.002]), np.array([0.2, 0.3, 0.014]))
-    assert highest(slab) > Settings().uneven > rise(slab, UPRIGHT)
-    assert rise(slab, FREE) == highest(slab)
+    assert highest(slab) > Settings().uneven > rise(Solid(slab, UPRIGHT))
+    assert rise(Solid(slab, FREE)) == highest(slab)
     image = make_image(np.full((9, 9), 1.0), np.full((9, 9), 0.002), Camera(9.0, 9.0, 4.0, 4.0, 9, 9), np.eye(4), 0.0)
     assert not len(prune(image, State().add(slab, UPRIGHT, False, FLOOR, 0.0), Settings(price=-np.inf)))
 

@@ -14,6 +14,8 @@ from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import FREE
+from derender.detection.solids.state import Solid
 from derender.errors import DerenderError
 from derender.interface.functions import sample
 from derender.render.blur import blur
@@ -121,12 +123,12 @@ def test_a_stranger_is_turned_in_one_way_only(tmp_path):
 
 def test_a_stranger_is_as_rare_as_the_file_says():
     """Odds of "none of these" against an object of the library go with those of the file, whatever pixels share."""
-    row = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.05]), np.full(3, 0.1))
-    item, beliefs, odds = Placed(None, row, 0), bare_image(), []
+    solid = Solid(make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.05]), np.full(3, 0.1)), FREE, bottom=0.0)
+    item, beliefs, odds = Placed(None, solid, 0), bare_image(), []
     for stranger in (0.05, 0.2):
         own = beliefs._replace(loose=replace(beliefs.loose, stranger=stranger))
         settings = Settings(beliefs=own).for_pixels(4.0)
-        price = Placement.price_of_unknown(SimpleNamespace(settings=settings), row, item)
+        price = Placement.price_of_unknown(SimpleNamespace(settings=settings), solid)
         share = identity_probabilities([(settings.price, item), (price - 5.0, item)], settings.temper)
         odds.append(share[1] / share[0])
     assert odds[1] / odds[0] == pytest.approx((0.2 / 0.8) / (0.05 / 0.95))
@@ -148,14 +150,14 @@ def test_identities_of_several_objects_weigh_as_their_product():
 
 def test_what_stands_there_instead_has_a_name_of_its_own(tmp_path):
     brick, die, tin = read_library(library(tmp_path))
-    row = make_row(BOX, np.eye(3), np.zeros(3), np.ones(3))
-    of = [Placed(known, row, 0) for known in (brick, brick, tin, None)]
+    solid = Solid(make_row(BOX, np.eye(3), np.zeros(3), np.ones(3)), FREE)
+    of = [Placed(known, solid, 0) for known in (brick, brick, tin, None)]
     names = names_of(of)
     assert names == ["brick", "brick_2", "tin", "box_1"]
     assert names_of([of[2], *of[1:]], ["", *names[1:]]) == ["tin_2", "brick_2", "tin", "box_1"]
     assert names_of([of[0], of[3], *of[2:]], ["brick", "", *names[2:]]) == ["brick", "box_2", "tin", "box_1"]
     assert enough(of) and not enough([of[2], of[2]])  # one tin is all there is
-    assert names_of([Placed(die, row, 0), *of[1:]], ["", *names[1:]])[0] == "die"
+    assert names_of([Placed(die, solid, 0), *of[1:]], ["", *names[1:]])[0] == "die"
 
 
 @pytest.mark.parametrize(("text", "words"), [

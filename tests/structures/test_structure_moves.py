@@ -7,11 +7,10 @@ from derender.detection.estimate import point_estimate
 from derender.detection.search.greedy import Settings, Task, settle, total_energy
 from derender.detection.search.moves import MOVES, as_cube, as_high, lift, recut, shake, stand, stretch, tilt
 from derender.detection.search.places import find_places
-from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.state import FLOOR, Solid, State
 from derender.scene.graph import ROOT
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
@@ -214,10 +213,10 @@ def test_over_a_gap_a_solid_floats():
 def test_what_is_nearly_a_cube_is_tried_as_one():
     origin = np.array([0.0, -0.6, 0.5])
     nearly = make_row(BOX, rotation_z(0.3)[:3, :3], [0.0, 0.0, 0.035], [0.068, 0.072, 0.07])
-    cube = as_cube(Hypothesis(nearly, UPRIGHT, False), origin)
+    cube = as_cube(Solid(nearly, UPRIGHT, False), origin)
     assert cube.cube and cube.row[13:16] == pytest.approx([0.07] * 3)
     assert cube.row[12] == pytest.approx(0.035) and nearly[13] == 0.068  # on the floor still; the other is as it was
-    long = Hypothesis(make_row(BOX, np.eye(3), [0.0, 0.0, 0.035], [0.068, 0.09, 0.07]), UPRIGHT, False)
+    long = Solid(make_row(BOX, np.eye(3), [0.0, 0.0, 0.035], [0.068, 0.09, 0.07]), UPRIGHT, False)
     assert as_cube(long, origin) is long
 
 

@@ -16,7 +16,6 @@ from derender.detection.search.proposals import (
     BEYOND,
     THINNEST,
     UP,
-    Hypothesis,
     cross,
     fit_round,
     lying_circle,
@@ -26,6 +25,7 @@ from derender.detection.search.proposals import (
 )
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import Solid
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
@@ -138,7 +138,7 @@ def body_hypotheses(
     box = box_about(points, smallest_rectangle(points[:, :2]), bottom)
     turn, middle, wide, height = rotation_of(box)[:2, :2], box[10:13], box[13:15], box[15]
     if "box" in shapes or "cube" in shapes:
-        yield Hypothesis(box, UPRIGHT, False)
+        yield Solid(box, UPRIGHT)
         yield from leaning_boards(points, origin, bottom)
     # a round solid shows its near half: as wide as it seems from the camera, and as deep
     away = middle[:2] - origin[:2]
@@ -148,19 +148,18 @@ def body_hypotheses(
     near = np.quantile(points[:, :2] @ away, 0.05) + 0.5 * diameter
     centre = near * away + 0.5 * (across.min() + across.max()) * np.array([-away[1], away[0]])
     if "cylinder" in shapes:
-        row = make_row(CYLINDER, np.eye(3), [*centre, middle[2]], [diameter, diameter, height])
-        yield Hypothesis(row, UPRIGHT, False)
+        yield Solid(make_row(CYLINDER, np.eye(3), [*centre, middle[2]], [diameter, diameter, height]), UPRIGHT)
         if bottom == 0.0:
             yield lying_cylinder(points, turn, wide)
     if "sphere" in shapes:
         radius = 0.5 * diameter
-        yield Hypothesis(make_row(SPHERE, np.eye(3), [*centre, bottom + radius], [diameter] * 3), FREE, False)
+        yield Solid(make_row(SPHERE, np.eye(3), [*centre, bottom + radius], [diameter] * 3), FREE)
         middle, radius = fit_round(points)
         if 0.3 * diameter < radius < diameter:
-            yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False)
+            yield Solid(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE)
 
 
-def leaning_boards(points: np.ndarray, origin: np.ndarray, bottom: float) -> Iterator[Hypothesis]:
+def leaning_boards(points: np.ndarray, origin: np.ndarray, bottom: float) -> Iterator[Solid]:
     """Yield the thin box of which points (N, 3) show a face that is neither level nor upright: as far as they reach,
     and down to a height, where something hides its foot.
 
@@ -186,10 +185,10 @@ def leaning_boards(points: np.ndarray, origin: np.ndarray, bottom: float) -> Ite
     further = np.array([0.0, (points[:, 2].min() - bottom) / rotation[2, 1], 0.0])
     for begin in (low, low - further) if further[1] > BOARD else (low,):
         row = make_row(BOX, rotation, rotation @ (0.5 * (begin + high)), np.maximum(high - begin, THINNEST))
-        yield Hypothesis(row, FREE, False)
+        yield Solid(row, FREE)
 
 
-def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hypothesis:
+def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Solid:
     """Return the cylinder on the floor along the longer side of the rectangle about points (N, 3)."""
     longer = int(np.argmax(wide))
     axis = np.array([*turn[:, longer], 0.0])
@@ -198,5 +197,4 @@ def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hy
     along = points @ axis
     middle = centre[0] * across + centre[1] * UP + 0.5 * (along.min() + along.max()) * axis
     rotation = np.column_stack([across, UP, axis])
-    return Hypothesis(make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, max(np.ptp(along), THINNEST)]),
-                      FREE, False)  # fmt: skip
+    return Solid(make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, max(np.ptp(along), THINNEST)]), FREE)

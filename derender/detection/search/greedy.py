@@ -11,13 +11,13 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED
-from derender.detection.search.proposals import Hypothesis, spaced
+from derender.detection.search.proposals import spaced
 from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
-from derender.detection.solids.image import Image
+from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit, added_misfits
 from derender.detection.solids.polish import FINE, FREE, SETTLED, SLACK, STEP, TRIED, UPRIGHT, size_energy, tilt_energy
-from derender.detection.solids.state import State, energy, held_out, in_the_way, polish_solid, run_polish
+from derender.detection.solids.state import Solid, State, energy, held_out, in_the_way, polish_solid, run_polish
 from derender.detection.solids.support import assign_supports, concerned
 from derender.scene.solids import BOX, SPHERE
 
@@ -84,6 +84,11 @@ class Settings(NamedTuple):
         return Rules(slack, overlap, self.may_float, beliefs, self.faces)
 
     @property
+    def price_of_box(self) -> float:
+        """Nats that an upright box must gain to be believed."""
+        return self.price + self.cube_bonus
+
+    @property
     def price_of_floating(self) -> float:
         """Nats that standing on nothing costs; where solids may float, what a height anywhere in a metre costs."""
         return self.temper * np.log(1.0 / self.slack) if self.may_float else self.floating_price
@@ -118,13 +123,13 @@ class Task(NamedTuple):
 
     image: Image
     settings: Settings
-    hypotheses: list[Hypothesis] = []  # noqa: RUF012  (never written)
+    hypotheses: list[Solid] = []  # noqa: RUF012  (never written)
 
 
 def greedy(
     rng: np.random.Generator,
     image: Image,
-    hypotheses: list[Hypothesis],
+    hypotheses: list[Solid],
     settings: Settings,
     state: State | None = None,
     tried: int = 5,
@@ -138,21 +143,20 @@ def greedy(
     state = State() if state is None else state
     alive = list(hypotheses)
 
-    def tried_out(h, row, rounds, step):
-        """Return (row, energy, h) of a hypothesis polished from here."""
-        row, energy, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, rounds, step)
-        return row, energy + complexity(int(row[0]), h.form, h.cube, settings), h
+    def tried_out(solid, rounds, step):
+        """Return (it, energy) of a hypothesis polished from here."""
+        solid, energy = run_polish(rng, image, state, -1, solid, view, settings, rounds, step)
+        return solid, energy + complexity(solid, settings)
 
     while alive and len(state) < settings.max_objects:
         view = held_out(image, state, -1)
-        gains = -added_misfits(image, np.array([h.row for h in alive]), view[0], view[2])
-        order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [int(h.row[0]) for h in alive], tried)
-        sifted = sorted((tried_out(alive[k], alive[k].row, SIFTING, STEP) for k in order), key=energy_of)
-        row, energy, h = min((tried_out(h, row, KEEPING, FINE) for row, _, h in sifted[:KEPT]), key=energy_of)
+        gains = -added_misfits(image, np.array([each.row for each in alive]), view[0], view[2])
+        order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [each.kind for each in alive], tried)
+        sifted = sorted((tried_out(alive[k], SIFTING, STEP) for k in order), key=energy_of)
+        solid, energy = min((tried_out(each, KEEPING, FINE) for each, _ in sifted[:KEPT]), key=energy_of)
         if energy > 0:
             break
-        row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, SETTLED, FINE)
-        state = state.add(row, h.form, h.cube)
+        state = state.add(*run_polish(rng, image, state, -1, solid, view, settings, SETTLED, FINE)[0])
         alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -HOPEFUL]
     return state
 
@@ -190,40 +194,37 @@ def try_cubes(
     """Make a cube of each box (or those in `only`) where the image allows it; return a new state."""
     state = state.copy()
     for i in range(len(state)):
-        row = state.rows[i]
-        if int(row[0]) != BOX or state.cubes[i] or (only is not None and i not in only):
+        solid = state[i]
+        if solid.kind != BOX or solid.cube or (only is not None and i not in only):
             continue
-        form = state.forms[i]
-        view = held_out(image, state, i)
-        polished = partial(run_polish, rng, image, state, i, form=form, view=view, bottom=state.bottoms[i],
-                           settings=settings)  # fmt: skip
-        most = polished(row=row, cube=False, rounds=1)[1] + settings.cube_bonus
-        sides = spaced([*row[13:16], row[13:16].mean()], APART)
-        cubes = [cube_of(row, side, image.origin, form) for side in sides]
-        best = min((polished(row=cube, cube=True, rounds=SIFTING) for cube in cubes), key=energy_of)
-        if best[1] < most + settings.temper * HOPELESS:
-            best = polished(row=best[0], cube=True, rounds=CUBE_KEEPING)
-        if best[1] < most:
-            state.rows[i], state.cubes[i] = best[0], True
+        polished = partial(run_polish, rng, image, state, i, view=held_out(image, state, i), settings=settings)
+        most = polished(solid, rounds=1)[1] + settings.cube_bonus
+        sides = spaced([*solid.row[13:16], solid.row[13:16].mean()], APART)
+        cubes = [cube_of(solid, side, image.origin) for side in sides]
+        cube, least = min((polished(each, rounds=SIFTING) for each in cubes), key=energy_of)
+        if least < most + settings.temper * HOPELESS:
+            cube, least = polished(cube, rounds=CUBE_KEEPING)
+        if least < most:
+            state = state.replaced(i, cube)
     return state
 
 
-def cube_of(row: np.ndarray, side: float, origin: np.ndarray, form: int) -> np.ndarray:
+def cube_of(solid: Solid, side: float, origin: np.ndarray) -> Solid:
     """Return the cube of this side with the corner nearest the camera (for an upright one, on its bottom) held."""
-    new = row.copy()
-    rotation = row[1:10].reshape(3, 3)
-    towards = np.sign((origin - row[10:13]) @ rotation)
-    if form == UPRIGHT:
+    new, rotation = solid.row.copy(), rotation_of(solid.row)
+    towards = np.sign((origin - new[10:13]) @ rotation)
+    if solid.form == UPRIGHT:
         towards[2] = -1.0
-    new[10:13] = row[10:13] + rotation @ (towards * (row[13:16] - side) / 2)
+    new[10:13] += rotation @ (towards * (new[13:16] - side) / 2)
     new[13:16] = side
-    return new
+    return solid._replace(row=new, cube=True)
 
 
-def rise(row: np.ndarray, form: int) -> float:
+def rise(solid: Solid) -> float:
     """Return how high over the floor the middle of an upright solid's top is, metres; of another its highest point: of
     a wide slab that is tilted as little as solids may be, a corner is far higher."""
-    return float(row[12] + 0.5 * row[15]) if form == UPRIGHT else highest(row)
+    row = solid.row
+    return float(row[12] + 0.5 * row[15]) if solid.form == UPRIGHT else highest(row)
 
 
 def prune(image: Image, state: State, settings: Settings, only: set[int] | None = None) -> State:
@@ -234,7 +235,7 @@ def prune(image: Image, state: State, settings: Settings, only: set[int] | None 
     """
     i = 0
     while i < len(state):
-        if rise(state.rows[i], state.forms[i]) < settings.uneven:
+        if rise(state[i]) < settings.uneven:
             state, i, only = state.without(i), 0, None
             continue
         if only is not None and i not in only:
@@ -243,7 +244,7 @@ def prune(image: Image, state: State, settings: Settings, only: set[int] | None 
         depth, _, misfit, _ = held_out(image, state, i)
         kept = added_misfit(image, state.rows[i], depth, misfit)
         kept += settings.temper * size_energy(state.rows[i], state.cubes[i])
-        if kept + complexity(int(state.rows[i][0]), state.forms[i], state.cubes[i], settings) > 0:
+        if kept + complexity(state[i], settings) > 0:
             state, i, only = state.without(i), 0, None
         else:
             i += 1
@@ -270,12 +271,10 @@ def settle(
     return assign_supports(image, kept, settings, near if len(kept) == len(state) else None)
 
 
-def complexity(kind: int, form: int, cube: bool, settings: Settings) -> float:
+def complexity(solid: Solid, settings: Settings) -> float:
     """Return the price in nats of a solid: more for each number that a simpler solid would not need."""
-    price = settings.price
-    if kind == BOX and not cube:
-        price += settings.cube_bonus
-    if kind != SPHERE and form == FREE:
+    price = settings.price_of_box if solid.kind == BOX and not solid.cube else settings.price
+    if solid.kind != SPHERE and solid.form == FREE:
         price += settings.free_price
     return price
 
@@ -283,9 +282,9 @@ def complexity(kind: int, form: int, cube: bool, settings: Settings) -> float:
 def total_energy(image: Image, state: State, settings: Settings) -> float:
     """Return minus the log posterior density of a state, up to a constant."""
     total = energy(image, state, settings.slack, settings.temper, in_the_way(state.rows, settings))
-    for k in range(len(state)):
-        total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
-        total += settings.temper * tilt_energy(state.rows[k], state.forms[k], settings.tilt)
-        if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
+    for solid in state:
+        total += complexity(solid, settings)
+        total += settings.temper * tilt_energy(solid.row, solid.form, settings.tilt)
+        if np.isnan(solid.bottom) and solid.parent < 0:
             total += settings.price_of_floating
     return total

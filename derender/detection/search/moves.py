@@ -12,11 +12,11 @@ import numpy as np
 from derender.detection.search.bodies import FEWEST, body_hypotheses
 from derender.detection.search.greedy import Changed, Task, complexity, cube_of, greedy
 from derender.detection.search.places import MISFIT, Places, guesses, pick
-from derender.detection.search.proposals import THINNEST, Hypothesis
+from derender.detection.search.proposals import THINNEST
 from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE, GUESSED, MOVED, UPRIGHT, turn
-from derender.detection.solids.state import FLOOR, State, held_out, polish_solid, run_polish
+from derender.detection.solids.state import Solid, State, held_out, polish_solid, run_polish
 from derender.detection.solids.support import LEAST_GAP, shadows_overlap, with_bottom
 from derender.scene.shapes.kinds import CORNERS
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -59,13 +59,13 @@ def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Pla
     return new, set(range(kept, len(new)))
 
 
-def as_cube(hypothesis: Hypothesis, origin: np.ndarray) -> Hypothesis:
-    """Return a hypothesis that is nearly a cube as one: it keeps to its place where others show beside it."""
-    row, sides = hypothesis.row, hypothesis.row[13:16].tolist()
+def as_cube(solid: Solid, origin: np.ndarray) -> Solid:
+    """Return a solid that is nearly a cube as one: it keeps to its place where others show beside it."""
+    sides = solid.row[13:16].tolist()
     side = sum(sides) / 3.0
-    if int(row[0]) != BOX or max(abs(each - side) for each in sides) > NEARLY * side:
-        return hypothesis
-    return hypothesis._replace(row=cube_of(row, side, origin, hypothesis.form), cube=True)
+    if solid.kind != BOX or max(abs(each - side) for each in sides) > NEARLY * side:
+        return solid
+    return cube_of(solid, side, origin)
 
 
 def as_high(state: State, i: int) -> set[int]:
@@ -313,9 +313,8 @@ def with_box_under(rng: np.random.Generator, task: Task, state: State, i: int, b
     box[10:12] += rng.uniform(-0.3, 0.3, 2) * row[13:15]
     box[15] = ceiling - bottom
     box[12] = 0.5 * (ceiling + bottom)
-    view = held_out(task.image, state, -1)
-    box, _, _ = run_polish(rng, task.image, state, -1, box, UPRIGHT, False, view, bottom, task.settings, step=GUESSED)
-    return state.add(box, UPRIGHT, False, FLOOR, bottom)
+    solid, view = Solid(box, UPRIGHT).on(bottom), held_out(task.image, state, -1)
+    return state.add(*run_polish(rng, task.image, state, -1, solid, view, task.settings, step=GUESSED)[0])
 
 
 def stand(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
@@ -334,10 +333,9 @@ def stand(rng: np.random.Generator, task: Task, state: State, places: Places) ->
     deep = wide if kind == CYLINDER else 2.0 * reach(row, -s, c, 0.0) * rng.uniform(0.4, 1.0)
     whole = make_row(kind, [[c, -s, 0], [s, c, 0], [0, 0, 1]], [row[10], row[11], 0.5 * (bottom + top)],
                      [wide, deep, top - bottom])  # fmt: skip
-    view = held_out(task.image, new, -1)
-    whole, _, _ = run_polish(rng, task.image, new, -1, whole, UPRIGHT, False, view, bottom, task.settings,
-                             2 * MOVED, 0.005, 2.0 * task.settings.temper)  # fmt: skip
-    return new.add(whole, UPRIGHT, False, FLOOR, bottom), {len(new)}
+    solid, _ = run_polish(rng, task.image, new, -1, Solid(whole, UPRIGHT).on(bottom), held_out(task.image, new, -1),
+                          task.settings, 2 * MOVED, 0.005, 2.0 * task.settings.temper)  # fmt: skip
+    return new.add(*solid), {len(new)}
 
 
 def lift(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
@@ -405,15 +403,15 @@ def stretch(rng: np.random.Generator, task: Task, state: State, places: Places) 
     row = state.rows[i].copy()
     row[13 + axis] += beyond
     row[10:13] += 0.5 * sign * beyond * rotation_of(row)[:, axis]
-    return polished(rng, task, state, i, row, state.forms[i], False)
+    return polished(rng, task, state, i, state[i]._replace(row=row, cube=False))
 
 
-def polished(rng: np.random.Generator, task: Task, state: State, i: int, row: np.ndarray, form: int, cube: bool,
-             step: float = 0.003, heat: float = 2.0) -> Changed:  # fmt: skip
+def polished(
+    rng: np.random.Generator, task: Task, state: State, i: int, solid: Solid, step: float = 0.003, heat: float = 2.0
+) -> Changed:
     """Return (state with another solid i, polished on its own, {i})."""
-    new = state.changed(i, row=row, form=form, cube=cube)
-    bottom = state.bottoms[i] if form == state.forms[i] else np.nan
-    polish_solid(rng, task.image, new, i, task.settings, bottom, step=step, heat=heat)
+    new = state.replaced(i, solid)
+    polish_solid(rng, task.image, new, i, task.settings, solid.bottom, step=step, heat=heat)
     return new, {i}
 
 
@@ -426,7 +424,7 @@ def shake(rng: np.random.Generator, task: Task, state: State, places: Places) ->
     if int(row[0]) == BOX and state.forms[i] == UPRIGHT:
         turn(row, 2, rng.uniform(-np.pi / 4, np.pi / 4), row[10], row[11], row[12])
     row[13:16] *= np.exp(0.15 * rng.normal())
-    return polished(rng, task, state, i, row, state.forms[i], state.cubes[i], 0.006, 6.0)
+    return polished(rng, task, state, i, state[i]._replace(row=row), 0.006, 6.0)
 
 
 def tilt(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
@@ -439,13 +437,13 @@ def tilt(rng: np.random.Generator, task: Task, state: State, places: Places) -> 
     if state.forms[i] == UPRIGHT:
         for axis in (0, 1):
             turn(row, axis, np.radians(5.0) * rng.normal(), row[10], row[11], row[12])
-        return polished(rng, task, state, i, row, FREE, state.cubes[i])
+        return polished(rng, task, state, i, state[i]._replace(row=row, form=FREE, bottom=np.nan))
     rotation = rotation_of(row)
     if abs(rotation[2, 2]) < np.cos(np.radians(15.0)):
         return None
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     row[1:10] = [np.cos(yaw), -np.sin(yaw), 0, np.sin(yaw), np.cos(yaw), 0, 0, 0, 1]
-    return polished(rng, task, state, i, row, UPRIGHT, state.cubes[i])
+    return polished(rng, task, state, i, state[i]._replace(row=row, form=UPRIGHT, bottom=np.nan))
 
 
 def appear(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
@@ -463,13 +461,10 @@ def appear_on(rng: np.random.Generator, task: Task, state: State, body: np.ndarr
     image, settings, _ = task
     view, tries = held_out(image, state, -1), []
     for each in body_hypotheses(body, image.origin, settings.shapes, bottom):
-        held = bottom if each.form == UPRIGHT else np.nan
-        row, energy, _ = run_polish(
-            rng, image, state, -1, each.row, each.form, False, view, held, settings, step=GUESSED
-        )
-        tries.append((energy + complexity(int(row[0]), each.form, False, settings), len(tries), row, each.form, held))
-    _, _, row, form, held = min(tries)
-    return state.add(row, form, False, FLOOR, held), {len(state)}
+        solid, energy = run_polish(rng, image, state, -1, each.on(bottom), view, settings, step=GUESSED)
+        tries.append((energy + complexity(solid, settings), len(tries), solid))
+    *_, solid = min(tries)
+    return state.add(*solid), {len(state)}
 
 
 MOVES = ((explain_anew, 0.2), (split, 0.14), (merge, 0.08), (recut, 0.08), (put_under, 0.06), (raise_support, 0.06),

@@ -12,11 +12,11 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.detection.search.bodies import find_bodies
 from derender.detection.search.greedy import Settings
-from derender.detection.search.proposals import THINNEST, Hypothesis
+from derender.detection.search.proposals import THINNEST
 from derender.detection.solids.image import ROW, Image
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, TYPICAL_SIZE, UPRIGHT
-from derender.detection.solids.state import State, held_out
+from derender.detection.solids.state import Solid, State, held_out
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 NEAR = 2  # pixels from a bad one to the solids that share it
@@ -35,7 +35,7 @@ class Places(NamedTuple):
     bodies: list[np.ndarray]
     shown: np.ndarray  # (H, W) int32, the solid that each pixel shows; negative: none
     seen: np.ndarray  # (H, W, 3) float64, all points
-    alone: dict[frozenset[int], list[Hypothesis]]  # of one solid for what some show, made when it is asked for
+    alone: dict[frozenset[int], list[Solid]]  # of one solid for what some show, made when it is asked for
 
     def none_left(self, settings: Settings) -> bool:
         """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""
@@ -121,8 +121,8 @@ def guesses(
     bottom: float,
     depth: np.ndarray,
     misfit: np.ndarray,
-) -> list[Hypothesis]:
-    """Return a Hypothesis of each way that the shapes allow: the best of GUESSES.
+) -> list[Solid]:
+    """Return a Solid of each way that the shapes allow: the best of GUESSES.
 
     points : (N, 3) float64, floor frame, that the solid shows. bottom : height on which it stands.
     depth, misfit : (H, W) of the scene without it.
@@ -135,7 +135,7 @@ def guesses(
     found = []
     for way in ways:
         row = best_guess(rng, way, image, points, bottom, depth, misfit, GUESSES)
-        found.append(Hypothesis(row, UPRIGHT if way in (TALL, ROUND) else FREE, False))
+        found.append(Solid(row, UPRIGHT if way in (TALL, ROUND) else FREE))
     return found
 
 

@@ -10,19 +10,12 @@ from derender.detection.outline import ends_of
 from derender.detection.patches import Patches, components
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import Solid
 from derender.scene.polygon import convex_outline
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 THINNEST = 0.008
-
-
-class Hypothesis(NamedTuple):
-    """A solid that may be in the scene."""
-
-    row: np.ndarray  # (ROW,) float64, see solids/image.py
-    form: int  # UPRIGHT (its own z axis is the floor's) or FREE
-    cube: bool  # whether its edges are equal by construction
 
 
 class Surface(NamedTuple):
@@ -234,7 +227,7 @@ def boxes_along(surface: Surface, group: Any, rotation: np.ndarray, form: int) -
     for x, y, z in product(*intervals):
         low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
         size, middle = np.maximum(high - low, THINNEST), rotation @ ((low + high) / 2)
-        yield Hypothesis(make_row(BOX, rotation, middle, size), form, False)
+        yield Solid(make_row(BOX, rotation, middle, size), form)
 
 
 def with_planes(
@@ -291,7 +284,7 @@ def spheres(surface: Surface, group: Any) -> Iterator[Any]:
     if 0.008 < radius < 0.3 and np.median(residual) < 3 * surface.sigma + 0.02 * radius:
         if abs(centre[2] - radius) < 0.25 * radius:
             centre = np.array([centre[0], centre[1], radius])
-        yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False)
+        yield Solid(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE)
 
 
 def cylinder_axes(surface: Surface, group: tuple[int, ...]) -> list[np.ndarray]:
@@ -357,8 +350,7 @@ def cylinders(surface: Surface, group: Any) -> Iterator[Any]:
                 continue
             middle = centre[0] * u + centre[1] * v + 0.5 * (low + high) * axis
             rotation = np.column_stack([u, v, axis])
-            row = make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, high - low])
-            yield Hypothesis(row, form, False)
+            yield Solid(make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, high - low]), form)
 
 
 def lying_circle(flat: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
@@ -407,7 +399,7 @@ def clusters(surface):
     return sorted({tuple(sorted(c)) for c in (*components(joined), *own)})
 
 
-def all_hypotheses(surface: Surface, shapes: tuple[str, ...]) -> list[Hypothesis]:
+def all_hypotheses(surface: Surface, shapes: tuple[str, ...]) -> list[Solid]:
     """Return every hypothesis that the patches suggest, for the shapes allowed (box, cube, cylinder, sphere)."""
     found = []
     if "box" in shapes or "cube" in shapes:

@@ -38,12 +38,11 @@ from derender.detection.search.moves import (
     stand,
 )
 from derender.detection.search.places import MISFIT, Places, find_places
-from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, rotation_of, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
 from derender.detection.solids.polish import FINEST, FREE, GUESSED, SETTLED, TRIED, UPRIGHT
-from derender.detection.solids.state import FLOOR, State, held_out, run_polish
+from derender.detection.solids.state import FLOOR, Solid, State, held_out, run_polish
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
 
@@ -93,7 +92,7 @@ SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 def search(
     rng: np.random.Generator,
     image: Image,
-    hypotheses: list[Hypothesis],
+    hypotheses: list[Solid],
     settings: Settings,
     pool: list[tuple[State, float]] | None = None,
     start: State | None = None,
@@ -172,7 +171,7 @@ def crossed(rng: np.random.Generator, image: Image, state: State, other: State, 
         trial = climb.state.without(*mine)
         count = len(trial)
         for k in theirs:
-            trial = trial.add(other.rows[k], other.forms[k], other.cubes[k])
+            trial = trial.add(*other[k][:3])
         climb.takes((trial, set(range(count, len(trial)))))
     return climb.state
 
@@ -192,14 +191,14 @@ def parts(image: Image, state: State, other: State) -> list[tuple[tuple[int, ...
             for part in components(tied)]  # fmt: skip
 
 
-def first_search(rng: np.random.Generator, image: Image, hypotheses: list[Hypothesis], settings: Settings) -> State:
+def first_search(rng: np.random.Generator, image: Image, hypotheses: list[Solid], settings: Settings) -> State:
     """Return the best State of two greedy searches, settled: what is plain to see, in a tenth of a whole search."""
     task = partial(settled_greedy, image=image, hypotheses=hypotheses, settings=settings)
     return min(in_threads(rng, [task] * THREADS), key=lambda found: found[1])[0]
 
 
 def settled_greedy(
-    rng: np.random.Generator, image: Image, hypotheses: list[Hypothesis], settings: Settings
+    rng: np.random.Generator, image: Image, hypotheses: list[Solid], settings: Settings
 ) -> tuple[State, float]:
     """Return (State, energy) of one greedy search, settled."""
     state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
@@ -218,7 +217,7 @@ class Found(NamedTuple):
 def one_search(
     rng: np.random.Generator,
     image: Image,
-    hypotheses: list[Hypothesis],
+    hypotheses: list[Solid],
     settings: Settings,
     early: list[Found],
     state: State | None = None,
@@ -327,7 +326,7 @@ def explain_otherwise(climb: Climb) -> None:
         if k >= len(climb.state):  # a solid was pruned
             continue
         was_box, fewer = int(climb.state.rows[k][0]) == BOX, climb.state.without(int(k))
-        others = [each for each in hypotheses if (int(each.row[0]) == BOX) != was_box]
+        others = [each for each in hypotheses if (each.kind == BOX) != was_box]
         new = greedy(climb.rng, image, others, settings, fewer)
         climb.takes((new, set(range(len(fewer), len(new)))))
 
@@ -370,7 +369,7 @@ def leaning(climb: Climb, state: State, among: set[int]) -> State:
     """Return a State in which that solid of some leans that leaves most unexplained, as it explains the image best."""
     _, label, misfit, _ = held_out(climb.task.image, state, -1)
     worst = max(among, key=lambda k: misfit[label == k].sum())
-    return polished(climb.rng, climb.task, state, worst, state.rows[worst], FREE, False)[0]
+    return polished(climb.rng, climb.task, state, worst, state[worst]._replace(form=FREE, cube=False, bottom=np.nan))[0]
 
 
 def lower_side(points: np.ndarray, along: np.ndarray) -> np.ndarray | None:
@@ -402,7 +401,7 @@ def support_all(climb: Climb) -> None:
 
 def floats(state: State) -> bool:
     """Whether nothing bears some solid of the state."""
-    return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
+    return any(np.isnan(solid.bottom) and solid.parent < 0 for solid in state)
 
 
 def united(climb: Climb) -> Iterator[Changed]:
@@ -420,11 +419,10 @@ def united(climb: Climb) -> Iterator[Changed]:
         fewer = state.without(*out)
         view, tries = held_out(image, fewer, -1), []
         for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
-            row = box_about(points, yaw, bottom)
-            tries.append(run_polish(climb.rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings,
-                                    step=GUESSED, heat=4.0))  # fmt: skip
-        row, _, _ = min(tries, key=energy_of)
-        yield fewer.add(row, UPRIGHT, False, FLOOR, bottom), {len(fewer)}
+            box = Solid(box_about(points, yaw, bottom), UPRIGHT).on(bottom)
+            tries.append(run_polish(climb.rng, image, fewer, -1, box, view, settings, step=GUESSED, heat=4.0))
+        box, _ = min(tries, key=energy_of)
+        yield fewer.add(*box), {len(fewer)}
 
 
 def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:

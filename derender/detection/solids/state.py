@@ -1,14 +1,15 @@
 """The state of the search over structures: which solids there are and what each one stands on."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.detection.solids.image import ROW, Image, blank, draw
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
-from derender.detection.solids.polish import MOVED, STEP, contact_energy, polish, size_energy
+from derender.detection.solids.polish import MOVED, STEP, UPRIGHT, contact_energy, polish, size_energy
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
@@ -17,40 +18,76 @@ FLOOR = -1
 NOTHING = np.empty(0)
 
 
+class Solid(NamedTuple):
+    """A solid over a floor, in the floor frame."""
+
+    row: np.ndarray  # (ROW,) float64, see image.py
+    form: int  # UPRIGHT (its own z axis is the floor's) or FREE
+    cube: bool = False  # whether its edges are equal by construction
+    parent: int = FLOOR  # what it stands on: FLOOR or an index
+    bottom: float = np.nan  # height that its lowest point is held to, NaN for none
+
+    @property
+    def kind(self) -> int:
+        """Its code of scene.solids."""
+        return int(self.row[0])
+
+    def on(self, bottom: float, parent: int = FLOOR) -> "Solid":
+        """Return the solid on what is so high; only one that stands upright is held to it."""
+        return self._replace(parent=parent, bottom=bottom if self.form == UPRIGHT else np.nan)
+
+
 @dataclass
 class State:
-    """Solids over a floor, in the floor frame."""
+    """Solids over a floor: what `Solid` says of each, for all of them."""
 
-    rows: np.ndarray = field(default_factory=lambda: np.empty((0, ROW)))  # (N, ROW) float64, see image.py
-    forms: list[int] = field(default_factory=list)  # UPRIGHT or FREE for each solid
-    cubes: list[bool] = field(default_factory=list)  # whether each solid's edges are equal
-    parents: list[int] = field(default_factory=list)  # what each one stands on: FLOOR or an index
-    bottoms: list[float] = field(default_factory=list)  # height that each one's lowest point is held to, NaN for none
+    rows: np.ndarray = field(default_factory=lambda: np.empty((0, ROW)))
+    forms: list[int] = field(default_factory=list)
+    cubes: list[bool] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    bottoms: list[float] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.forms)
 
+    def __getitem__(self, index: int) -> Solid:
+        return Solid(self.rows[index], self.forms[index], self.cubes[index], self.parents[index], self.bottoms[index])
+
+    def __iter__(self) -> Iterator[Solid]:
+        return map(self.__getitem__, range(len(self)))
+
     def copy(self) -> "State":
         return State(self.rows.copy(), list(self.forms), list(self.cubes), list(self.parents), list(self.bottoms))
 
+    @classmethod
+    def of(cls, solids: Sequence[Solid]) -> "State":
+        """Return the state of these solids."""
+        rows = np.array([solid.row for solid in solids], float).reshape(-1, ROW)
+        forms, cubes = [solid.form for solid in solids], [solid.cube for solid in solids]
+        return cls(rows, forms, cubes, [solid.parent for solid in solids], [solid.bottom for solid in solids])
+
     def add(self, row: np.ndarray, form: int, cube: bool, parent: int = FLOOR, bottom: float = np.nan) -> "State":
-        """Return the state with one more solid."""
-        return State(
-            np.vstack([self.rows, row[None]]), [*self.forms, form], [*self.cubes, cube],
-            [*self.parents, parent], [*self.bottoms, bottom],
-        )  # fmt: skip
+        """Return the state with one more Solid."""
+        return State.of([*self, Solid(row, form, cube, parent, bottom)])
 
     def changed(self, index: int, **numbers: Any) -> "State":
         """Return the state with another `row`, `form`, `cube`, `parent` or `bottom` of one solid."""
+        return self.replaced(index, self[index]._replace(**numbers))
+
+    def replaced(self, index: int, solid: Solid) -> "State":
+        """Return the state with another Solid in the place of one."""
         new = self.copy()
-        for name, value in numbers.items():
-            getattr(new, f"{name}s")[index] = value
+        for values, value in zip((new.rows, new.forms, new.cubes, new.parents, new.bottoms), solid, strict=True):
+            values[index] = value  # type: ignore[index]
         return new
+
+    def swapped(self, index: int, solid: Solid) -> "State":
+        """Return the state with another Solid in the place of one, on what that stands on."""
+        return self.replaced(index, solid._replace(parent=self.parents[index]))
 
     def chosen(self, solids: list[int], parents: list[int]) -> "State":
         """Return the state of some solids, in this order, on these parents."""
-        return State(self.rows[solids], [self.forms[k] for k in solids], [self.cubes[k] for k in solids], parents,
-                     [self.bottoms[k] for k in solids])  # fmt: skip
+        return State.of([self[k]._replace(parent=parent) for k, parent in zip(solids, parents, strict=True)])
 
     def without(self, *indices: int) -> "State":
         """Return the state without some solids; what stood on one stands on what that stood on."""
@@ -124,22 +161,20 @@ def run_polish(
     image: Image,
     state: State,
     index: int,
-    row: np.ndarray,
-    form: int,
-    cube: bool,
+    solid: Solid,
     view: tuple[np.ndarray, np.ndarray, np.ndarray, float],
-    bottom: float,
     settings: "Settings",
     rounds: int = MOVED,
     step: float = STEP,
     heat: float = 2.0,
-) -> tuple[np.ndarray, float, float]:
-    """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
+) -> tuple[Solid, float]:
+    """Polish one solid against the rest of the scene, `view`, without number `index`; return (it, energy)."""
     depth, _, misfit, _ = view
-    return polish(
-        rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
-        carried_by(state, index), settings.slack, settings.tilt, settings.temper, rounds, step, heat,
+    row, energy, _ = polish(
+        rng, image, solid.row, solid.form, solid.cube, in_the_way(state.rows, settings), index, depth, misfit,
+        solid.bottom, carried_by(state, index), settings.slack, settings.tilt, settings.temper, rounds, step, heat,
     )  # fmt: skip
+    return solid._replace(row=row), energy
 
 
 def polish_solid(
@@ -154,6 +189,5 @@ def polish_solid(
     heat: float = 2.0,
 ) -> None:
     """Polish solid k of a state in place, all others held; bottom : height that its lowest point is held to."""
-    view, form, cube = held_out(image, state, k), state.forms[k], state.cubes[k]
-    state.rows[k], _, _ = run_polish(rng, image, state, k, state.rows[k], form, cube, view, bottom, settings, rounds,
-                                     step, heat)  # fmt: skip
+    solid, view = state[k]._replace(bottom=bottom), held_out(image, state, k)
+    state.rows[k] = run_polish(rng, image, state, k, solid, view, settings, rounds, step, heat)[0].row

@@ -9,17 +9,18 @@ what stands for it, a proxy, whose rotation and centre are its own.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import ROW, SIZE, Image, drawn_alone, make_row, pose_in, put_in, rotation_of
+from derender.detection.solids.image import SIZE, Image, drawn_alone, make_row, pose_in, put_in, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import change_by, misfit_map
 from derender.detection.solids.polish import FREE, resting_energy
-from derender.detection.solids.state import FLOOR, State, held_out, in_the_way, run_polish
+from derender.detection.solids.state import FLOOR, Solid, State, held_out, in_the_way, run_polish
 from derender.detection.solids.support import shadows_overlap, standing_on
 from derender.render.raycast.convex import PREPARED, prepare_solid
 from derender.render.raycast.depth import draw_mesh
@@ -44,18 +45,13 @@ class Placed:
     """One solid of the answer."""
 
     known: Known | None  # the object that it is, None for a solid of unknown sizes
-    row: np.ndarray  # (ROW,) of its proxy: its rotation and centre are the object's own
+    solid: Solid  # its proxy, over the floor: rotation and centre are the object's own
     anchor: int  # index of the solid of the first search that stood there
-    base: float = 0.0  # height of what it stands on, NaN for none
-    form: int = FREE  # of a solid of unknown sizes, as in State
-    cube: bool = False  # of a solid of unknown sizes, as in State
 
 
 def state_of(placed: list[Placed]) -> State:
-    """Return the State of what was placed, all of it on the floor."""
-    rows = np.array([item.row for item in placed]).reshape(-1, ROW)
-    forms, cubes, bases = ([getattr(item, name) for item in placed] for name in ("form", "cube", "base"))
-    return State(rows, forms, cubes, [FLOOR] * len(placed), bases)
+    """Return the State of what was placed, all of it over the floor."""
+    return State.of([item.solid for item in placed])
 
 
 @dataclass(eq=False)
@@ -78,65 +74,64 @@ class Placement:
     def view(self, placed: list[Placed], skip: int = -1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return depth, label and misfit of the scene without number `skip`."""
         depth, label, misfit, _ = held_out(self.image, State(), -1)  # the floor alone
-        for k, (row, known) in enumerate((item.row, item.known) for item in placed):
+        for k, (row, known) in enumerate((item.solid.row, item.known) for item in placed):
             if k != skip:
                 alone = drawn_alone(self.image, row) if known is None else known_alone(self.image, known.meshes, row)
                 put_in(*alone, k, depth, label)
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
-    def starts(self, known: Known, anchor: int, bases: list[float]) -> Iterator[Any]:
-        """Yield (row, base) from which an object may be refined where a solid was found."""
-        row = self.state.rows[anchor]
-        middles = [row[10:12]]
+    def starts(self, known: Known, anchor: int, bases: list[float]) -> Iterator[Solid]:
+        """Yield the Solids from which an object may be refined where one was found."""
+        found = self.state.rows[anchor]
+        middles = [found[10:12]]
         seen = (self.label == anchor) & (self.image.depth > 0)
         if seen.sum() >= 4:
             points = self.image.origin + self.image.depth[seen][:, None] * self.image.direction[seen]
             away = np.median(points[:, :2], axis=0) - self.image.origin[:2]
             middles.append(np.median(points[:, :2], axis=0) + 0.3 * known.size.min() * away / np.linalg.norm(away))
-        yaw = np.arctan2(row[4], row[1]) if abs(row[9]) > 0.9 else 0.0
+        yaw = np.arctan2(found[4], found[1]) if abs(found[9]) > 0.9 else 0.0
         for way in known.resting():
             rotation = rotation_z(yaw)[:3, :3] @ way
             low = float((known.meshes.vertices @ rotation[2]).min())
             for middle in middles:
                 for base in bases:
-                    yield make_row(known.proxy, rotation, [*middle, base - low], known.size), base
+                    row = make_row(known.proxy, rotation, [*middle, base - low], known.size)
+                    yield Solid(row, FREE, bottom=base)
 
-    def refine(self, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int, view: Any, rounds: int,
-               heat: float = 2.0, scales: np.ndarray = SCALES) -> tuple[float, np.ndarray]:  # fmt: skip
-        """Return (energy, row) of one object annealed against the rest of the scene, see `walk_known`.
+    def refine(self, known: Known, solid: Solid, rows: np.ndarray, skip: int, view: Any, rounds: int,
+               heat: float = 2.0, scales: np.ndarray = SCALES) -> tuple[float, Solid]:  # fmt: skip
+        """Return (energy, Solid) of one object annealed against the rest of the scene, see `walk_known`.
         view : depth, label and misfit without it."""
-        start = row.copy()
+        start = solid.row.copy()
         start[SIZE:] = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
         row, energy = walk_known(
             self.rng, self.image, known.meshes, start, in_the_way(rows, self.settings), skip, view[0], view[2],
-            base, self.settings.slack, self.tilt, scales.copy(), rounds, heat,
+            solid.bottom, self.settings.slack, self.tilt, scales.copy(), rounds, heat,
         )  # fmt: skip
         row[SIZE:] = known.size
-        return energy, row
+        return energy, solid._replace(row=row)
 
     def best_pose(
         self, known: Any, anchor: int, placed: list[Placed], view: Any, skip: int = -1
     ) -> tuple[float, Placed]:
         """Return (energy, Placed) of the best pose of an object at an anchor."""
         rows, found = state_of(placed).rows, self.state.rows[anchor]
-        tops = {round(highest(item.row), 4): highest(item.row) for k, item in enumerate(placed) if k != skip
-                and shadows_overlap(found, item.row) and highest(found) > highest(item.row)}  # fmt: skip
+        tops = {round(highest(row), 4): highest(row) for k, row in enumerate(rows) if k != skip
+                and shadows_overlap(found, row) and highest(found) > highest(row)}  # fmt: skip
         bases = [0.0, *tops.values()]
         low = lowest(found)
         if low > 0.02:
             bases.append(low)
-        looked = []
-        for row, base in self.starts(known, anchor, bases):
-            change = change_by(self.image, *known_alone(self.image, known.meshes, row), view[0], view[2])
-            looked.append((change, len(looked), row, base))
-        refined = []
-        for _, number, row, base in sorted(looked, key=lambda each: each[:2])[:TRIED]:
-            energy, row = self.refine(known, row, base, rows, skip, view, 70)
-            refined.append((energy, number, row, base))
-        _, _, row, base = min(refined, key=lambda each: each[:2])
-        energy, row = self.refine(known, row, base, rows, skip, view, 200, 1.5, SCALES / 3)
-        return energy, Placed(known, row, anchor, base)
+        looked, energy_of = [], itemgetter(0)  # of two as good, the first
+        for start in self.starts(known, anchor, bases):
+            change = change_by(self.image, *known_alone(self.image, known.meshes, start.row), view[0], view[2])
+            looked.append((change, start))
+        first = sorted(looked, key=energy_of)[:TRIED]
+        refined = [self.refine(known, start, rows, skip, view, 70) for _, start in first]
+        _, solid = min(refined, key=energy_of)
+        energy, solid = self.refine(known, solid, rows, skip, view, 200, 1.5, SCALES / 3)
+        return energy, Placed(known, solid, anchor)
 
     def place(self) -> list[Placed]:
         """Return what is there: known objects one after the other, then what is none of them."""
@@ -182,13 +177,14 @@ class Placement:
                 if layout.counts.prod() <= counts[layout.known.name]:
                     least, cells = fitted(space, layout, misfit, self.whole.origin)
                     anchors = [group[k % len(group)] for k in range(len(cells))]
-                    boxes = [Placed(layout.known, *each, lowest(each[0])) for each in zip(cells, anchors, strict=True)]
+                    boxes = [Placed(layout.known, Solid(row, FREE, bottom=lowest(row)), anchor)
+                             for row, anchor in zip(cells, anchors, strict=True)]  # fmt: skip
                     found.append((least + self.settings.price, boxes))
             if not found:
                 continue
             as_found = self.as_found(group, rest)
-            energy = misfit(np.array([item.row for item in as_found]))
-            found.append((energy + sum(self.price_of_unknown(item.row, item) for item in as_found), as_found))
+            energy = misfit(state_of(as_found).rows)
+            found.append((energy + sum(self.price_of_unknown(item.solid) for item in as_found), as_found))
             found.sort(key=lambda each: each[0])
             (best, boxes), known = found[0], found[0][1][0].known
             if known is not None:
@@ -202,10 +198,10 @@ class Placement:
         """Return solids of the first search polished by the image as it came, `rest` (N, ROW) around them."""
         items, count = [self.unknown(anchor) for anchor in group], len(rest)
         for k, item in enumerate(items):
-            state = State(np.vstack([rest, *(each.row for each in items)]))
-            row, _, _ = run_polish(self.rng, self.whole, state, count + k, item.row, item.form, item.cube,
-                                   held_out(self.whole, state, count + k), item.base, self.settings)  # fmt: skip
-            items[k] = replace(item, row=row)
+            state = State(np.vstack([rest, state_of(items).rows]))
+            solid, _ = run_polish(self.rng, self.whole, state, count + k, item.solid,
+                                  held_out(self.whole, state, count + k), self.settings)  # fmt: skip
+            items[k] = replace(item, solid=solid)
         return items
 
     def spaces(self) -> Iterator[tuple[list[int], Space]]:
@@ -257,19 +253,18 @@ class Placement:
                 break
             depth, _, misfit = self.view(placed)
             item = self.unknown(anchor)
-            row, energy, _ = self.polished(item, placed, -1, (depth, None, misfit, 0.0))
-            energy += self.price_of_unknown(row, item)
-            if energy < 0:
-                placed = [*placed, replace(item, row=row)]
+            solid, energy = self.polished(item.solid, placed, -1, (depth, None, misfit, 0.0))
+            if energy + self.price_of_unknown(solid) < 0:
+                placed = [*placed, replace(item, solid=solid)]
         return placed
 
     def as_large(self, item: Placed, row: np.ndarray) -> bool:
         """Whether a solid of unknown sizes, a row (ROW,), is a known object as far as a reduced image tells, whose
         blocks put silhouettes by up to half of one wrong, which costs a solid of given sizes tens of nats and one of
         free sizes nothing."""
-        if item.known is None or item.known.shape == "mesh" or int(row[0]) != int(item.row[0]):
+        if item.known is None or item.known.shape == "mesh" or int(row[0]) != item.solid.kind:
             return False
-        across = np.abs(rotation_of(row).T @ rotation_of(item.row))
+        across = np.abs(rotation_of(row).T @ rotation_of(item.solid.row))
         if int(row[0]) == BOX and (across.max(axis=0) < LEVEL).any():  # they lie in different ways
             return False
         size = item.known.size[across.argmax(axis=1)] if int(row[0]) == BOX else item.known.size
@@ -277,50 +272,42 @@ class Placement:
         block *= np.linalg.norm(row[10:13] - self.image.origin)  # metres: half of one at either end
         return bool((np.abs(row[SIZE:] - size) <= block).all())
 
-    def price_of_unknown(self, row: np.ndarray, item: Placed) -> float:
+    def price_of_unknown(self, solid: Solid) -> float:
         """Return the price in nats of a solid of unknown sizes: `cube_bonus` is what two free sizes cost."""
-        settings, kind = self.settings, int(row[0])
-        sizes = 1 if item.cube or kind == SPHERE else 3 if kind == BOX else 2
-        tilted = settings.free_price if item.form == FREE and kind != SPHERE else 0.0
+        settings, kind = self.settings, solid.kind
+        sizes = 1 if solid.cube or kind == SPHERE else 3 if kind == BOX else 2
+        tilted = settings.free_price if solid.form == FREE and kind != SPHERE else 0.0
         stranger = settings.believed.loose.stranger
         known = np.log((1.0 - stranger) / stranger)  # nats, of the prior odds of being one of the library's objects
         return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + known * settings.temper
 
     def unknown(self, anchor: int) -> Placed:
         """Return the solid of the first search as it was."""
-        state = self.state
-        base = state.bottoms[anchor]
-        return Placed(None, state.rows[anchor].copy(), anchor, base, state.forms[anchor], state.cubes[anchor])
+        return Placed(None, self.state[anchor]._replace(parent=FLOOR), anchor)
 
-    def polished(
-        self, item: Placed, placed: list[Placed], skip: int, view: Any, rounds: int = 250
-    ) -> tuple[np.ndarray, float, float]:
-        """Return (row, energy, misfit change) of a solid of unknown sizes polished against the rest."""
-        return run_polish(self.rng, self.image, state_of(placed), skip, item.row, item.form, item.cube, view, item.base,
-                          self.settings, rounds)  # fmt: skip
+    def polished(self, solid: Solid, placed: list[Placed], skip: int, view: Any) -> tuple[Solid, float]:
+        """Return (it, energy) of a solid of unknown sizes polished against the rest."""
+        return run_polish(self.rng, self.image, state_of(placed), skip, solid, view, self.settings)
 
-    def parents(self, placed: list[Placed]) -> tuple[list[int], list[float]]:
-        """Return what each stands on and how high that is."""
+    def carriers(self, placed: list[Placed]) -> list[tuple[int, float]]:
+        """Return (what each stands on, how high that is)."""
         state = state_of(placed)
-        found = [standing_on(state, k, REACH) for k in range(len(placed))]
-        return [parent for parent, _ in found], [base for _, base in found]
+        return [standing_on(state, k, REACH) for k in range(len(placed))]
 
     def settle(self, placed: list[Placed]) -> list[Placed]:
         """Return the scene with every object held to what it stands on and refined against all others."""
         for sweep in range(2):
-            _, bases = self.parents(placed)
-            label = self.view(placed)[1]
-            for k in range(len(placed)):
+            carriers, label = self.carriers(placed), self.view(placed)[1]
+            for k, item in enumerate(placed):
                 if np.sum(label == k) < SHOWN:
                     continue
-                item = replace(placed[k], base=bases[k])
-                view = self.view(placed, k)
+                solid, view = item.solid._replace(bottom=carriers[k][1]), self.view(placed, k)
                 if item.known is None:
-                    row, _, _ = self.polished(item, placed, k, (*view, 0.0))
+                    solid, _ = self.polished(solid, placed, k, (*view, 0.0))
                 else:
-                    _, row = self.refine(item.known, item.row, item.base, state_of(placed).rows, k, view, 200,
-                                         1.0 - sweep, SCALES / 6)  # fmt: skip
-                placed[k] = replace(item, row=row)
+                    _, solid = self.refine(item.known, solid, state_of(placed).rows, k, view, 200, 1.0 - sweep,
+                                           SCALES / 6)  # fmt: skip
+                placed[k] = replace(item, solid=solid)
         return placed
 
     def identities(self, placed: list[Placed], k: int) -> list[tuple[float, Placed]]:
@@ -330,7 +317,7 @@ class Placement:
         own = placed[k]
         found = []
         if own.known is not None:
-            energy, _ = self.refine(own.known, own.row, own.base, rows, k, view, 1, 0.0)
+            energy, _ = self.refine(own.known, own.solid, rows, k, view, 1, 0.0)
             found.append((energy + self.settings.price, own))
         for known in self.library:
             if known is not own.known:
@@ -338,12 +325,12 @@ class Placement:
                 found.append((energy + self.settings.price, item))
         if self.others:
             item = self.unknown(anchor) if own.known is not None else own
-            row, energy, _ = self.polished(item, placed, k, (*view, 0.0))
+            solid, energy = self.polished(item.solid, placed, k, (*view, 0.0))
             if self.settings.reduced:
-                found = [(min(each, energy + self.settings.price) if self.as_large(other, row) else each, other)
+                found = [(min(each, energy + self.settings.price) if self.as_large(other, solid.row) else each, other)
                          for each, other in found]  # fmt: skip
-            energy += self.price_of_unknown(row, item)
-            found.insert(0 if own.known is None else len(found), (energy, replace(item, row=row)))
+            energy += self.price_of_unknown(solid)
+            found.insert(0 if own.known is None else len(found), (energy, replace(item, solid=solid)))
         return found
 
 

@@ -118,22 +118,20 @@ def names_of(placed: list[Placed], kept: list[str] | None = None) -> list[str]:
     names = [""] * len(placed) if kept is None else list(kept)
     for k, item in enumerate(placed):
         if not names[k]:
-            base = item.known.name if item.known else vertex_of(item.row, item.cube, "x").shape
+            base = item.known.name if item.known else vertex_of(item.solid.row, item.solid.cube, "x").shape
             numbered = [f"{base}_{n}" for n in range(1, len(names) + 2)]
             numbered[0] = base if item.known else numbered[0]
             names[k] = next(name for name in numbered if name not in names)
     return names
 
 
-def graph_of(placed: list[Placed], parents: list[int], floor_pose: np.ndarray, names: list[str]) -> SceneGraph:
+def graph_of(placed: list[Placed], floor_pose: np.ndarray, names: list[str]) -> SceneGraph:
     """Return the scene graph of what was placed."""
     # a mesh keeps its own axes, whatever its proxy
     given = {k: Vertex(names[k], item.known.shape, item.known.parameters, ROOT,
-                       floating(from_axes(rotation_of(item.row).T, item.row[10:13])), item.known.options)
+                       floating(from_axes(rotation_of(item.solid.row).T, item.solid.row[10:13])), item.known.options)
              for k, item in enumerate(placed) if item.known is not None}  # fmt: skip
-    state = state_of(placed)
-    state.parents = list(parents)
-    return scene_graph(state, floor_pose, names, given=given)
+    return scene_graph(state_of(placed), floor_pose, names, given=given)
 
 
 def part_of_known(
@@ -142,9 +140,9 @@ def part_of_known(
 ) -> StructurePosterior:  # fmt: skip
     """Return draws of all numbers under given identities, and the `spots` they leave, by chains from where things were
     placed; of one the place. most : draws of each chain up to which those that disagree go on."""
-    parents, bases = placement.parents(placed)
-    placed = [replace(item, base=base) for item, base in zip(placed, bases, strict=True)]
-    graph = graph_of(placed, parents, floor_pose, names)
+    placed = [replace(item, solid=item.solid._replace(parent=parent, bottom=bottom))
+              for item, (parent, bottom) in zip(placed, placement.carriers(placed), strict=True)]  # fmt: skip
+    graph = graph_of(placed, floor_pose, names)
     unknown = [name for name, item in zip(names, placed, strict=True) if item.known is None]
     shown = np.bincount(placement.view(placed)[1].ravel() + 1, minlength=len(placed) + 1)[1:]
     laws = laws_of(graph, names, unknown, [name for name, pixels in zip(names, shown, strict=True) if pixels < SHOWN])
