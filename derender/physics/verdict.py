@@ -12,9 +12,9 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.statics import Entered, deep_overlaps, find_contacts, widest_gap
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating, nearest_contact
+from derender.scene.contacts.kinds import ON_A_FACE
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating, nearest_contact, vertex_of
 from derender.scene.pose import inverse
-from derender.scene.shapes import shapes
 from derender.scene.shapes.base import Body
 
 # A body has moved when its centre is displaced by more than a tenth of its mean extent (the side of the cube of its
@@ -223,7 +223,6 @@ class Fate:
         return bool(np.any(sunk[:-1] - most > SUNK * self._sizes.max(axis=1)))
 
 
-TYPES = ("face-to-face", "side-on-face", "edge-on-face", "corner-on-face", "point-on-face")
 # A contact is taken where it reproduces the pose to a millimetre and a fifth of a degree; slack takes up the rest.
 OUTSIDE, ANGLE = 1e-3, np.deg2rad(0.2)
 # Of several types that fit, a flatter one is taken unless it needs so much more slack (metres of gap and lean).
@@ -248,7 +247,7 @@ def settled_graph(graph: SceneGraph, trajectory: Trajectory, matter: Matter) -> 
     moving = {body.name for body in end.bodies if body.moves}
     still = [v for v in graph.vertices if v.name not in moving and (v.name in there or v.shape == "frame")]
     known = {vertex.name for vertex in graph.vertices}
-    added = [_vertex_of(body.name, body.kind, body.size) for body in end.bodies if body.name not in known]
+    added = [vertex_of(body.name, body.kind, body.size) for body in end.bodies if body.name not in known]
     waiting = [v for v in (*graph.vertices, *added) if v.name in moving]
     waiting.sort(key=lambda vertex: float(poses[vertex.name][:3, 3] @ matter.up))
     placed = {vertex.name: vertex for vertex in still}
@@ -266,13 +265,6 @@ def settled_graph(graph: SceneGraph, trajectory: Trajectory, matter: Matter) -> 
     return replace(graph, vertices=tuple(_at_rest(vertex) for vertex in placed.values()), constraints=())
 
 
-def _vertex_of(name: str, kind: str, size: np.ndarray) -> Vertex:
-    """Return an object of a shape and size."""
-    shape = shapes[kind]
-    numbers = map(float, shape.psi_from_size(size))
-    return Vertex(name, kind, dict(zip((p.name for p in shape.parameters), numbers, strict=True)))
-
-
 def _at_rest(vertex: Vertex) -> Vertex:
     """Return an object without speed, the rounding of its contact's numbers taken off: a file knows no 1e-15 m."""
     values = {key: 0.0 if abs(x) < ROUNDING else x for key, x in vertex.contact.values.items()}
@@ -283,7 +275,7 @@ def _at_rest(vertex: Vertex) -> Vertex:
 def _contact(relative: np.ndarray, parent: Body, child: Body) -> Contact | None:
     """Return the flattest contact of two bodies that reproduces a relative pose, or None."""
     best: tuple[float, Contact] | None = None
-    for kind in TYPES:
+    for kind in ON_A_FACE:
         try:
             contact, left = nearest_contact(relative, parent, child, kind)
         except DerenderError:

@@ -108,10 +108,7 @@ def nearest_contact(
         if (parent_face is not None and on != parent_face) or (child_face is not None and by != child_face):
             continue
         found = kind.invert(relative, parent, child, on, by)
-        angles = [x for name, x in found.slack.items() if name.startswith("tilt")]
-        cost = (
-            found.outside + abs(found.slack.get("gap", 0.0)) + radius * (np.hypot(*[0, 0, *angles][-2:]) + found.angle)
-        )
+        cost = found.outside + abs(found.gap) + radius * (found.tilt + found.angle)
         if best is None or cost < best[0]:
             slack = {name: value for name, value in found.slack.items() if abs(value) > ROUNDING}
             best = (cost, Contact(type, on, by, {**found.phi, **slack}), found)
@@ -119,6 +116,13 @@ def nearest_contact(
         kind.default_choice(parent.shape, child.shape)
         raise DerenderError(f"{parent_face!r} and {child_face!r} cannot be in {type} contact")
     return best[1], best[2]
+
+
+def vertex_of(name: str, shape: str, size: np.ndarray, contact: Contact = Contact("6dof")) -> Vertex:
+    """Return an object of a shape with full extents (3,) along its own axes, metres, under the root."""
+    kind = shapes[shape]
+    numbers = map(float, kind.psi_from_size(size))
+    return Vertex(name, shape, dict(zip((p.name for p in kind.parameters), numbers, strict=True)), ROOT, contact)
 
 
 def floating(pose: np.ndarray) -> Contact:

@@ -14,7 +14,6 @@ much less probable is what would tip off its parent alone, stand in the prior's 
 The parent is the one that bears most (`by_bearer`), in as many of the draws of place and friction as it does so.
 """
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,8 +26,9 @@ from derender.detection.solids.state import State
 from derender.detection.solids.support import TOUCHING, bearers, shares_of_load
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
+from derender.scene.contacts import Inverse
 from derender.scene.distributions import Distribution
-from derender.scene.graph import ROOT, SceneGraph, Vertex, nearest_contact
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, nearest_contact
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Loose, balances
 from derender.scene.shapes import shapes
@@ -94,21 +94,18 @@ def _bounded(graph: SceneGraph, name: str) -> bool:
 def _level(graph: SceneGraph, vertex: Vertex, other: str, within: float) -> bool:
     """Whether the vertex would lie flat on `other`, whose top is within so many metres, and not merely graze it."""
     try:
-        residual = support_residual(graph, vertex.name, other)
+        contact, left = nearest_to_resting(graph, vertex.name, other)
     except DerenderError:  # these two shapes have no such contact
         return False
-    if not -DEEPEST < residual.gap < within or residual.tilt > LARGEST_TILT or residual.outside > 0.0:
+    if not -DEEPEST < left.gap < within or left.tilt + left.angle > LARGEST_TILT or left.outside > 0.0:
         return False
-    contact, _ = graph.nearest_contact(
-        vertex.name, other, vertex.contact.type, residual.parent_face, residual.child_face
-    )
     return all(EDGE < contact.values.get(key, 0.5) < 1 - EDGE for key in ("u", "v"))
 
 
 def judge(scenes: list[SceneGraph], graph: SceneGraph, name: str, other: str, slack: float, loose: Loose) -> Candidate:
     """Return the candidate with its probability, by the ratio at the head of this file.
     scenes : draws. graph : the best scene."""
-    gaps = [support_residual(scene, name, other).gap for scene in scenes]
+    gaps = [nearest_to_resting(scene, name, other)[1].gap for scene in scenes]
     balanced = balances(graph, name, graph.vertex(name).parent)
     with_it = density_at_none(np.array(gaps), slack)
     prior_odds = loose.second_support / (1.0 - loose.second_support)
@@ -149,12 +146,12 @@ def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior
     address = f"{candidate.other}.{EXTENTS['xyz'.index(face[1])]}"
     if address not in part.addresses:
         return part
-    if support_residual(part.graph, candidate.name, candidate.other).parent_face != opposite(face):
+    if nearest_to_resting(part.graph, candidate.name, candidate.other)[0].parent_face != opposite(face):
         return part
     values = part.values.copy()
     place = part.addresses.index(address)
     for chain, draw in np.ndindex(part.log_density.shape):
-        gap = support_residual(part.graph_at(chain, draw), candidate.name, candidate.other).gap
+        gap = nearest_to_resting(part.graph_at(chain, draw), candidate.name, candidate.other)[1].gap
         values[chain, draw, place] = max(values[chain, draw, place] + gap, 0.5 * values[chain, draw, place])
     return replace(part, values=values)
 
@@ -182,18 +179,8 @@ def together(part: StructurePosterior, other: StructurePosterior) -> StructurePo
     return replace(part, weight=weight, weight_error=error, weight_interval=interval)
 
 
-class SupportResidual(NamedTuple):
-    """How far an object is from resting on a second support."""
-
-    parent_face: str | None  # the faces that would touch
-    child_face: str | None  # the faces that would touch
-    gap: float  # metres between them along the support's normal; negative where they interpenetrate
-    tilt: float  # radians between them
-    outside: float  # metres by which their outlines miss each other
-
-
-def support_residual(graph: SceneGraph, name: str, support: str) -> SupportResidual:
-    """Return how far the vertex `name` is from resting on `support` with the feature that rests on its parent.
+def nearest_to_resting(graph: SceneGraph, name: str, support: str) -> tuple[Contact, Inverse]:
+    """Return the contact by which `name` would rest on `support` with what rests on its parent, and how far it is off.
     The support's face is the one that looks most squarely at it. A vertex that floats takes its best pair of faces."""
     vertex = graph.vertex(name)
     poses = graph.poses()
@@ -205,10 +192,7 @@ def support_residual(graph: SceneGraph, name: str, support: str) -> SupportResid
     if face is not None and body.shape.face_names:
         down = relative[:3, :3] @ child.face(face).frame[:3, 2]
         upright = min(body.shape.face_names, key=lambda other: body.face(other).frame[:3, 2] @ down)
-    contact, left = nearest_contact(relative, body, child, kind, upright, face)
-    tilts = [value for key, value in left.slack.items() if key.startswith("tilt")]
-    tilt = math.hypot(*tilts) + left.angle
-    return SupportResidual(contact.parent_face, contact.child_face, left.slack.get("gap", 0.0), tilt, left.outside)
+    return nearest_contact(relative, body, child, kind, upright, face)
 
 
 DRAWN = 100  # scenes, and frictions of each contact, in which who bears most is looked at

@@ -8,11 +8,12 @@ import numpy as np
 from derender.detection.leftovers import swaps
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import Observation
-from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
+from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, pose_of, scene_graph, without
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import THINNEST, Thing
 from derender.results.posterior import NINETY, StructurePosterior
+from derender.scene.graph import floating, vertex_of
 from derender.scene.polygon import convex_outline
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.mesh import encode_surface
@@ -120,15 +121,14 @@ def _with_all(
     for name, thing, surface, size, centre, hidden, noise in made:
         row = thing.row.copy()
         row[CENTRE:SIZE], row[SIZE:] = centre, size
-        vertex = replace(vertex_of(row, False, name), shape="thing", options={"surface": surface} if surface else {})
+        vertex = vertex_of(name, "thing", size, floating(pose_of(row)))
+        vertex = replace(vertex, options={"surface": surface} if surface else {})
         parent = FLOOR_NAME if thing.parent == FLOOR else names[thing.parent]
         if parent not in graph.names:
             parent = FLOOR_NAME
         contact = best_contact(graph.add(vertex), name, parent, row, None, "+z", "-z")
         if contact is not None:
-            held = {key: x for key, x in contact.values.items() if key not in SLACK}
-            exact = replace(contact, values=held)
-            vertex = replace(vertex, parent=parent, contact=exact)
+            vertex = replace(vertex, parent=parent, contact=without(contact, *SLACK))
         graph = graph.add(vertex)
         for (key, value), behind, guess in zip(vertex.parameters.items(), hidden, thing.guessed, strict=True):
             more, off = rng.standard_normal((2, chains, draws, 1))

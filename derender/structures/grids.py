@@ -23,13 +23,13 @@ from derender.camera.intrinsics import Camera
 from derender.camera.windows import shrunk
 from derender.detection.pyramid import spread_of
 from derender.detection.solids.beliefs import Beliefs, box_log_density
-from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, without
+from derender.detection.solids.graph import FLOOR_NAME, TILTS, without
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
-from derender.scene.graph import Contact, SceneGraph, Vertex, nearest_contact
+from derender.scene.contacts.kinds import ON_A_FACE
+from derender.scene.graph import Contact, SceneGraph, nearest_contact, vertex_of
 from derender.scene.pose import inverse, translation
 from derender.scene.priors.bare_image import Cartons
-from derender.scene.shapes.base import EXTENTS
 from derender.scene.solids import BOX
 
 FEWEST = 4  # boxes of a grid: two or three are found as such
@@ -352,13 +352,13 @@ def with_cartons(graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], gri
     """Return a graph with a grid of cartons, lower layers first, in place of boxes whose hull in a scene it fills."""
     (pose, extents), count = hull_of(scene, boxes), np.array(grid.parts)
     size = (extents - (count - 1) * grid.gap) / count
-    first, numbers = boxes[0], dict(zip(EXTENTS, map(float, size), strict=True))
+    first = boxes[0]
     names = {place: f"{first}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
     poses, bodies = {FLOOR_NAME: scene.poses()[FLOOR_NAME]}, {FLOOR_NAME: graph.body(FLOOR_NAME)}
     cartons = []
     for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
         parent = FLOOR_NAME if k == 0 else names[i, j, k - 1]
-        made = Vertex(own, "box", numbers, parent, Contact(ON_A_FACE[0]))
+        made = replace(vertex_of(own, "box", size, Contact(ON_A_FACE[0])), parent=parent)
         poses[own] = pose @ translation(*((np.array([i, j, k]) - 0.5 * (count - 1)) * (size + grid.gap)))
         bodies[own] = made.body
         contact, _ = nearest_contact(inverse(poses[parent]) @ poses[own], bodies[parent], made.body, ON_A_FACE[0], "+z",

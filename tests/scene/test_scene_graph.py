@@ -14,7 +14,7 @@ from derender.scene.contacts import contacts
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, random_rotation, translation
 from derender.scene.solids import BOX, PLANE
-from derender.structures.bridges import support_residual
+from derender.structures.bridges import nearest_to_resting
 
 
 def figure_3(which):
@@ -165,14 +165,14 @@ def bridge(height_of_second=0.1, span=0.3, tilt=0.0):
 
 
 def test_second_support_of_a_bridge():
-    level = support_residual(bridge(), "plank", "right")
-    assert (level.parent_face, level.child_face) == ("+z", "-z")
-    assert abs(level.gap) < 1e-12 and level.tilt < 1e-12 and level.outside == 0.0
-    short = support_residual(bridge(height_of_second=0.093), "plank", "right")
+    contact, level = nearest_to_resting(bridge(), "plank", "right")
+    assert (contact.parent_face, contact.child_face) == ("+z", "-z")
+    assert abs(level.gap) < 1e-12 and level.tilt + level.angle < 1e-12 and level.outside == 0.0
+    _, short = nearest_to_resting(bridge(height_of_second=0.093), "plank", "right")
     assert short.gap == pytest.approx(0.007, abs=1e-12)
-    tilted = support_residual(bridge(tilt=0.02), "plank", "right")
-    assert tilted.tilt == pytest.approx(0.02)
-    stub = support_residual(bridge(span=0.05), "plank", "right")
+    _, tilted = nearest_to_resting(bridge(tilt=0.02), "plank", "right")
+    assert tilted.tilt + tilted.angle == pytest.approx(0.02)
+    _, stub = nearest_to_resting(bridge(span=0.05), "plank", "right")
     assert stub.outside > 0.0
 
 

@@ -17,7 +17,7 @@ from derender.results.posterior import Posterior, StructurePosterior, load
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
 from derender.scene.priors.bare_image import Loose, balances
-from derender.structures.bridges import judge, some_of, support_residual, with_bridges
+from derender.structures.bridges import judge, nearest_to_resting, some_of, with_bridges
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 from worlds.made_scenes import render_floor_scene
@@ -151,7 +151,7 @@ def test_the_gap_is_closed_in_every_draw():
     part = posterior_of(bridge(0.079), 0.0005, np.random.default_rng(0))
     joined = next(p for p in with_bridges([part], RULES) if p.graph.vertex("plank").supports)
     for draw in range(5):
-        assert abs(support_residual(joined.graph_at(0, draw), "plank", "right").gap) < 1e-12
+        assert abs(nearest_to_resting(joined.graph_at(0, draw), "plank", "right")[1].gap) < 1e-12
 
 
 @pytest.fixture(scope="module")

@@ -9,18 +9,18 @@ import numpy as np
 
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import penetration
-from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.state import FLOOR, Solid, State
 from derender.detection.solids.support import LEAST_GAP, touches
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
 from derender.scene.contacts import contacts
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating
+from derender.scene.contacts.kinds import ON_A_FACE
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating, vertex_of
 from derender.scene.pose import from_axes
-from derender.scene.shapes.base import EXTENTS
-from derender.scene.solids import BOX, SPHERE
+from derender.scene.solids import KINDS, SPHERE
 
 FLOOR_NAME = "floor"
-ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
+SHAPES = {KINDS[name]: name for name in ("box", "sphere", "cylinder")}
 # Contacts that hold to these are written as holding exactly; others say where the solid is by their slack, exactly.
 GAP, TILT = 0.004, np.radians(2.0)
 EXACT = 1e-9  # metres
@@ -35,18 +35,9 @@ def pose_of(row: np.ndarray) -> np.ndarray:
     return from_axes(axes.T, row[10:13])
 
 
-def vertex_of(row: np.ndarray, cube: bool, name: str) -> Vertex:
-    """Return a floating Vertex with the row's shape and pose under the root."""
-    kind, size = int(row[0]), [float(s) for s in row[13:16]]
-    if kind == BOX:
-        shape = "cube" if cube else "box"
-        parameters = {"side": size[0]} if cube else dict(zip(EXTENTS, size, strict=True))
-    elif kind == SPHERE:
-        shape, parameters = "sphere", {"radius": size[0] / 2}
-    else:
-        shape, parameters = "cylinder", {"radius": size[0] / 2, "height": size[2]}
-    contact = floating(pose_of(row))
-    return Vertex(name, shape, parameters, ROOT, contact)
+def shape_of(solid: Solid) -> str:
+    """Return the name of a solid's shape."""
+    return "cube" if solid.cube else SHAPES[solid.kind]
 
 
 def names_of(state: State) -> list[str]:
@@ -54,7 +45,7 @@ def names_of(state: State) -> list[str]:
     counts: dict[str, int] = {}
     names = [""] * len(state)
     for k in state.in_order():
-        shape = vertex_of(state.rows[k], state.cubes[k], "x").shape
+        shape = shape_of(state[k])
         counts[shape] = counts.get(shape, 0) + 1
         names[k] = f"{shape}_{counts[shape]}"
     return names
@@ -75,14 +66,14 @@ def order_of(parents: list[int]) -> list[int]:
 
 
 def scene_graph(
-    state: State, floor_pose: np.ndarray, names: list[str] | None = None, floating: bool = False,
+    state: State, floor_pose: np.ndarray, names: list[str] | None = None, may_float: bool = False,
     given: Mapping[int, Vertex] | None = None,
 ) -> SceneGraph:  # fmt: skip
     """Return the scene graph of a state, its solids called `names` (default: see names_of).
 
     Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
     made exact, one that does not keeps the rest as slack. Where none fits, and over a gap in which something that is
-    not seen must stand, the solid floats under the root. Where `floating` is allowed, what nothing holds floats,
+    not seen must stand, the solid floats under the root. Where it `may_float`, what nothing holds floats,
     however near it is to the floor. given : the vertices of solids of known shapes, floating under the root.
     """
     parents = list(state.parents)
@@ -90,10 +81,11 @@ def scene_graph(
     names = names_of(state) if names is None else names
     graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
     for k in order:
-        vertex = (given or {}).get(k) or vertex_of(state.rows[k], state.cubes[k], names[k])
+        row = state.rows[k]
+        vertex = (given or {}).get(k) or vertex_of(names[k], shape_of(state[k]), row[13:16], floating(pose_of(row)))
         parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
-        if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
-            row, on = state.rows[k], None if parents[k] == FLOOR else state.rows[parents[k]]
+        if not (may_float and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
+            on = None if parents[k] == FLOOR else state.rows[parents[k]]
             faces = ("+z", "-z") if upright(row) and (on is None or upright(on)) else (None, None)
             contact = best_contact(graph.add(vertex), names[k], parent, row, on, *faces)
             if contact is not None:

@@ -28,6 +28,10 @@ offset_from_uv, uv_from_offset = interpreted(polygon.offset_from_uv), interprete
 rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.chart_of)
 
 
+# The types by which something rests on a flat face, flatter ones first.
+ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
+
+
 class Inverse(NamedTuple):
     """The contact nearest to a pose.
 
@@ -45,6 +49,16 @@ class Inverse(NamedTuple):
     def values(self) -> dict[str, float]:
         """All parameters, free ones and slack, by name."""
         return {**self.phi, **self.slack}
+
+    @property
+    def gap(self) -> float:
+        """Metres between the two along the parent's normal; negative where they interpenetrate."""
+        return self.slack.get("gap", 0.0)
+
+    @property
+    def tilt(self) -> float:
+        """Radians by which the two are tilted against each other, as far as slack says it."""
+        return math.hypot(*(value for name, value in self.slack.items() if name.startswith("tilt")))
 
 
 class ContactType:

@@ -81,6 +81,11 @@ class Box(Rectangular):
     symmetry = Symmetry(HALF_TURNS)
 
 
+def mean_extent(size: np.ndarray) -> float:
+    """Return the mean of extents (3,), of equal ones each to the last bit."""
+    return float(size[0] + np.mean(size - size[0]))
+
+
 @shapes.register("cube")
 class Cube(Rectangular):
     """A cube, by its side; a quarter turn of any face leaves it as it is."""
@@ -93,7 +98,7 @@ class Cube(Rectangular):
         return np.full(3, float(psi[0]))
 
     def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
-        return np.array([float(np.mean(size))])
+        return np.array([mean_extent(size)])
 
 
 WALL = 0.005  # metres, of a file that says none: totes and cartons have 3 to 8 mm
@@ -208,7 +213,7 @@ class Sphere(Shape):
         return np.full(3, 2.0 * float(psi[0]))
 
     def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
-        return np.array([0.5 * float(np.mean(size))])
+        return np.array([0.5 * mean_extent(size)])
 
     def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         return Face(np.eye(4), POINT, float(psi[0])) if name in self.point_names else super().face(name, psi)

@@ -152,10 +152,9 @@ def _component(
     kind = contacts[choice[0]]
     found = kind.invert(relative, graph.body(parent), body, *choice[1:])
     reach = 0.5 * float(np.linalg.norm(body.size()))
-    tilts = [x for name, x in found.slack.items() if name.startswith("tilt")] if body.shape.name != "sphere" else []
     misfit = found.outside + reach * found.angle
-    misfit += 0.0 if isinstance(table.get("gap"), Distribution) else abs(found.slack.get("gap", 0.0))
-    misfit += reach * math.hypot(*[0.0, 0.0, *tilts][-2:])
+    misfit += 0.0 if isinstance(table.get("gap"), Distribution) else abs(found.gap)
+    misfit += reach * found.tilt if body.shape.name != "sphere" else 0.0
     if misfit > 0.05:
         return []
     centres: dict[str, Any] = {}

@@ -173,7 +173,7 @@ def infer_by_jumps(
     state, seen = point_estimate(rng, depth, camera, settings, plane=plane)
     if document is None:  # the floor is where it is seen
         prior = replace(prior, root=FixedRoot(root_seen(seen.floor.pose)))
-    graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
+    graph = scene_graph(state, seen.floor.pose, may_float=settings.may_float)
     words = Vocabulary(prior)
     always = tuple(prior.tree.sample_vertices(rng).values())
     start = start_graph(words, SceneGraph(root_pose_near(prior.root, seen.floor.pose), always), graph)

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.graph import scene_graph, turns_freely, vertex_of
+from derender.detection.solids.graph import scene_graph, shape_of, turns_freely
 from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE
 from derender.detection.solids.state import State
@@ -118,7 +118,7 @@ def names_of(placed: list[Placed], kept: list[str] | None = None) -> list[str]:
     names = [""] * len(placed) if kept is None else list(kept)
     for k, item in enumerate(placed):
         if not names[k]:
-            base = item.known.name if item.known else vertex_of(item.solid.row, item.solid.cube, "x").shape
+            base = item.known.name if item.known else shape_of(item.solid)
             numbered = [f"{base}_{n}" for n in range(1, len(names) + 2)]
             numbered[0] = base if item.known else numbered[0]
             names[k] = next(name for name in numbered if name not in names)
