@@ -188,6 +188,20 @@ def test_what_leans_a_little_is_told_upright_about_its_centre():
         assert np.linalg.norm(foot - pose[:2, 3]) > 2e-4  # where it was put
 
 
+def test_what_hangs_a_little_is_told_to_reach_down_to_what_bears_it():
+    """Its top is seen and its foot is not: put down as it was, a tall box was told 7 mm too low, and not trusted."""
+    row = make_row(BOX, rotation_x(0.015)[:3, :3], [0.0, 0.0, 0.103], [0.08, 0.06, 0.2])
+    state = State().add(row, FREE, False)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    graph = scene_graph(state, floor_pose(), ["box"])
+    addresses, numbers, root = numbers_of_draws(chart, values[None], graph, ["box"])
+    told = dict(zip(addresses, numbers[0], strict=True))
+    assert "gap" not in graph.vertex("box").contact.values
+    assert [told[f"box.{side}"] for side in ("length", "width", "height")] == pytest.approx([0.08, 0.06, 0.203])
+    placed = replace(graph, root_pose=root[0]).with_numbers(told)
+    assert (inverse(floor_pose()) @ placed.poses()["box"])[2, 3] == pytest.approx(0.5 * 0.203)
+
+
 @pytest.mark.parametrize("name", ["gaussian", "robust"])
 def test_an_engine_begun_at_the_wall_scores_as_a_full_evaluation_does(name):
     rng = np.random.default_rng(2)

@@ -17,29 +17,43 @@ from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
-from derender.structures.draws.chart import KIND, Chart, camera_poses, log_prior, make_chart, place_rows, rows_at
+from derender.structures.draws.chart import (
+    EQUAL,
+    KIND,
+    LEAST_EXTENT,
+    Chart,
+    camera_poses,
+    log_prior,
+    make_chart,
+    place_rows,
+    rows_at,
+)
 
 # How much of a full extent each shape's numbers are, and of which axis.
 EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
            "cylinder": ((0, 0.5), (2, 1.0))}  # fmt: skip
+GAP = 3  # place of a gap in phi
 NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
 
 
 def contact_numbers(
-    chart: Chart, draws: np.ndarray, parents: np.ndarray, codes: np.ndarray, flush: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    chart: Chart, draws: np.ndarray, parents: np.ndarray, codes: np.ndarray, flush: np.ndarray,
+    reaches: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64 of draws (n, D) as contacts.
 
     parents : (N,) int64: index of a solid, FLOOR (-1) or NO_PARENT. codes : (N, 3) int64: contact, parent's and child's
         face. flush : (N,) bool, solids whose tilt is left out: their centres stay where they are, for with its foot
-        held the top of one of 20 cm would be off by 7 mm at 2 degrees.
+        held the top of one of 20 cm would be off by 7 mm at 2 degrees. reaches : (N,) bool, those whose gap is left out
+        and that have a height of their own: they reach down to what bears them, for what is seen is the other end.
     """
     count, total = len(chart.flags), len(draws)
     phi, sizes = np.zeros((total, count, SLOTS)), np.zeros((total, 1 + count, 3))
     poses, kinds = np.empty((total, 1 + count, 4, 4)), np.array([PLANE, *chart.flags[:, KIND]], np.int64)
     code, size, numbers = np.int64(0), np.empty(3), np.empty(SLOTS)
     at = address_of(invert, code, code, size, code, size, code, code, np.empty((4, 4)), numbers)
-    write_contacts(chart, draws, np.maximum(parents, FLOOR) + 1, codes, flush, kinds, at, phi, sizes, poses)
+    write_contacts(chart, draws, np.maximum(parents, FLOOR) + 1, codes, flush, reaches, kinds, at, phi, sizes,
+                   poses)  # fmt: skip
     return phi, sizes[:, 1:], poses[:, 0]
 
 
@@ -64,7 +78,18 @@ def make_flush(on, own, parent_face, child_face):
 
 
 @njit(cache=True, nogil=True)
-def write_contacts(chart, draws, parents, codes, flush, kinds, inverse_at, phi, sizes, poses):
+def reach_down(own, child_face, size, gap):
+    """Move a face of a solid (size (3,), pose (4, 4) to camera) outwards by a gap, in place; the opposite one stays."""
+    for j in range(3):
+        sign = SIGNS[child_face, j]
+        longer = max(size[j] + abs(sign) * gap, LEAST_EXTENT) - size[j] if sign != 0.0 else 0.0
+        size[j] += longer
+        for i in range(3):
+            own[i, 3] += 0.5 * longer * sign * own[i, j]
+
+
+@njit(cache=True, nogil=True)
+def write_contacts(chart, draws, parents, codes, flush, reaches, kinds, inverse_at, phi, sizes, poses):
     """Write what each draw (D,) of (n, D) means as contacts, see `contact_numbers`; the floor is solid 0 of 1 + N.
     parents : (N,) int64. kinds : (1 + N,) int64. inverse_at : the address of `invert`. sizes : of zeros."""
     count = len(kinds) - 1
@@ -87,6 +112,8 @@ def write_contacts(chart, draws, parents, codes, flush, kinds, inverse_at, phi, 
                     relative[i, j] = on[0, i] * x + on[1, i] * y + on[2, i] * z
             call_for_two_numbers(inverse_at, codes[k, 0], kinds[parents[k]], sizes[n, parents[k]], kinds[k + 1],
                                  sizes[n, k + 1], codes[k, 1], codes[k, 2], relative, phi[n, k])  # fmt: skip
+            if reaches[k]:
+                reach_down(own, codes[k, 2], sizes[n, k + 1], phi[n, k, GAP])
 
 
 def numbers_of_draws(chart, draws, graph, names):
@@ -94,7 +121,8 @@ def numbers_of_draws(chart, draws, graph, names):
     names : of the solids in the chart's order. Slack, and how a standing cylinder or a sphere is turned, are left out.
     """
     count = len(names)
-    parents, codes, flush = np.empty(count, np.int64), np.empty((count, 3), np.int64), np.zeros(count, bool)
+    parents, codes = np.empty(count, np.int64), np.empty((count, 3), np.int64)
+    flush, reaches = np.zeros((2, count), bool)
     for k, name in enumerate(names):
         vertex = graph.vertex(name)
         contact = vertex.contact
@@ -103,7 +131,8 @@ def numbers_of_draws(chart, draws, graph, names):
         codes[k] = (contacts[contact.type].compiled_code, FEATURE_CODES[contact.parent_face],
                     FEATURE_CODES[contact.child_face])  # fmt: skip
         flush[k] = codes[k, 0] == FACE_TO_FACE and not set(TILTS) & set(contact.values)
-    phi, sizes, root = contact_numbers(chart, np.ascontiguousarray(draws), parents, codes, flush)
+        reaches[k] = flush[k] and "gap" not in contact.values and not chart.flags[k, EQUAL]
+    phi, sizes, root = contact_numbers(chart, np.ascontiguousarray(draws), parents, codes, flush, reaches)
     found: dict[str, np.ndarray] = {}
     for k, name in enumerate(names):
         vertex = graph.vertex(name)
