@@ -38,6 +38,7 @@ from derender.detection.search.moves import (
     stand,
 )
 from derender.detection.search.places import MISFIT, Places, find_places
+from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import Image, blank, draw, rotation_of, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
@@ -242,7 +243,7 @@ def one_search(
         stage(climb)
     last = Climb(rng, climb.task, climb.state)  # what it tries none looks at again
     support_all(last)
-    for of_one in (merged, united):  # as long as that helps
+    for of_one in (merged, reached, united):  # as long as that helps
         while any(last.takes(changed, may_cost=UNSETTLED) for changed in of_one(last)):
             pass
     last.takes((last.state, None), SETTLED)
@@ -450,3 +451,17 @@ def merged(climb: Climb) -> Iterator[Changed]:
             yield merge_pair(climb.rng, climb.task, state, i, j, spread)
     for i, j in parted_pairs(climb.task.image, state):
         yield merge_pair(climb.rng, climb.task, state, i, j, (False, False, False))
+
+
+def reached(climb: Climb) -> Iterator[Changed]:
+    """Yield the state with a solid that reaches to what nothing explains, and which may be its other end: another hides
+    what is between. That end may show in too few pixels to be a solid by itself."""
+    state, last = climb.state, len(climb.state)
+    for body in climb.places().bodies:
+        for bottom in {max(lowest(row), 0.0) for row in state.rows}:
+            if body[:, 2].max() < bottom + LOWER:
+                continue
+            end = state.add(box_about(body, smallest_rectangle(body[:, :2]), bottom), UPRIGHT, False, FLOOR, bottom)
+            for i, j in parted_pairs(climb.task.image, end):
+                if j == last:
+                    yield merge_pair(climb.rng, climb.task, end, i, j, (False, False, False))
