@@ -13,6 +13,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import numpy as np  # noqa: E402
+from arguments import at_least_one, pixels  # noqa: E402
 
 from derender.camera.intrinsics import Camera  # noqa: E402
 from derender.cli import status_of  # noqa: E402
@@ -255,16 +256,17 @@ def make_rows(width: int, height: int) -> tuple[dict, str | None]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", nargs="+", default=["64x64", "160x120"], help="image sizes, such as 640x480")
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument(
+        "--sizes", type=pixels, nargs="+", default=[(64, 64), (160, 120)], help="image sizes, such as 640x480"
+    )
+    parser.add_argument("--rounds", type=at_least_one, default=15)
     parser.add_argument("--seconds", type=float, default=0.05, help="for each row in each round")
     arguments = parser.parse_args()
-    for size in arguments.sizes:
-        width, height = map(int, size.split("x"))
+    for width, height in arguments.sizes:
         rows, baseline = make_rows(width, height)
         medians = time_rows(rows, arguments.rounds, arguments.seconds)
         print(
-            f"\n{size}, log likelihoods a second, one thread"
+            f"\n{width}x{height}, log likelihoods a second, one thread"
             + (", and times the speed of the first row" if baseline else "")
         )
         for name, seconds in medians.items():

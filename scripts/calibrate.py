@@ -24,6 +24,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import numpy as np  # noqa: E402
+from arguments import at_least_one, target  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import read_prior_document  # noqa: E402
@@ -104,12 +105,12 @@ def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("prior", nargs="?", default="figure-4")
-    parser.add_argument("-n", type=int, default=500)
-    parser.add_argument("-o", type=Path, default=Path("calibration.png"))
-    parser.add_argument("--chains", type=int, default=2)
-    parser.add_argument("--draws", type=int, default=250)
-    parser.add_argument("--thin", type=int)
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("-n", type=at_least_one, default=500)
+    parser.add_argument("-o", type=target, default=Path("calibration.png"))
+    parser.add_argument("--chains", type=at_least_one, default=2)
+    parser.add_argument("--draws", type=at_least_one, default=250)
+    parser.add_argument("--thin", type=at_least_one)
+    parser.add_argument("--jobs", type=at_least_one, default=2)
     parser.add_argument("--strict", action="store_true")
     arguments = parser.parse_args()
     document = read_prior_document(arguments.prior)

@@ -23,6 +23,8 @@ from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 
+from arguments import at_least_one, pixels, read_records, target
+
 from derender.cli import status_of
 from derender.document import read_prior_document  # noqa: E402
 
@@ -314,18 +316,18 @@ def draw_diagram(records, path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-n", type=int, default=300, help="scenes")
+    parser.add_argument("-n", type=at_least_one, default=300, help="scenes")
     parser.add_argument("--first", type=int, default=0, help="seed of the first scene")
     parser.add_argument("--prior", default="tabletop", help="built-in prior, or a file")
-    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), help="of the images, as 64x48")
+    parser.add_argument("--size", type=pixels, help="of the images, as 64x48")
     parser.add_argument("--sigma", type=float, help="metres of noise, where it is not the prior's")
     parser.add_argument("--twice", action="store_true", help="infer with a second seed too")
     parser.add_argument("--told", action="store_true", help="infer under the prior that scenes are drawn from")
     parser.add_argument("--quick", action="store_true", help="look for the best scene alone, as infer --quick")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--keep", type=Path, help="file of records, one line of JSON for each scene")
+    parser.add_argument("--jobs", type=at_least_one, default=1, help="processes")
+    parser.add_argument("--keep", type=target, help="file of records, one line of JSON for each scene")
     parser.add_argument("--pool", type=Path, nargs="+", help="infer nothing: the table of these files of records")
-    parser.add_argument("-o", "--output", type=Path, help="reliability diagram, PNG")
+    parser.add_argument("-o", "--output", type=target, help="reliability diagram, PNG")
     arguments = parser.parse_args()
     records = pooled(arguments.pool) if arguments.pool else inferred(arguments)
     print("\n".join(rows_of(records)))
@@ -335,7 +337,7 @@ def main():
 
 def pooled(paths):
     """Return the records that files hold."""
-    return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    return [record for path in paths for record in read_records(path)]
 
 
 def inferred(arguments):

@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
@@ -77,7 +78,7 @@ def made_scene(name, number):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", default=[DEFAULT_PRIOR], help=f"of {', '.join((DEFAULT_PRIOR, *SETS))}")
-    parser.add_argument("-n", type=int, default=10, help="scenes in all")
+    parser.add_argument("-n", type=at_least_one, default=10, help="scenes in all")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene of each set (its seed)")
     arguments = parser.parse_args()
     unknown = set(arguments.sets) - {DEFAULT_PRIOR, *SETS}

@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import names_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -168,7 +169,7 @@ def evaluate_dynamics(count, first, sensor, kinds, keep, verbose):
     """Make films, infer what moves how, print the table; `keep` : folder of results that are not done again, or ''."""
     folder = make_folder(keep) if keep else None
     rows = []
-    for kind in kinds or KINDS:
+    for kind in names_in(kinds, KINDS, "kind of film"):
         for seed in range(first, first + count):
             path = folder and folder / f"{kind}_{seed:03d}.json"
             if path and path.exists():

@@ -29,12 +29,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one, pixels
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
-from sequences import KINDS  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
@@ -83,9 +83,9 @@ def evaluate_made(name, count, first, options, verbose):
 
 def evaluators(given):
     """Return what measures each set that has a script of its own, by name, to be imported when it is asked for."""
-    kinds, films = tuple(filter(None, given.kinds.split(","))), (given.n, given.first, given.sensor)
+    films = given.n, given.first, given.sensor
     options, verbose = Options(method=given.method), given.verbose
-    seen = given.motion, tuple(int(side) for side in given.size.split("x")), given.fps
+    seen = given.motion, given.size, given.fps
 
     def of(module, function, *arguments):
         return lambda: getattr(importlib.import_module(module), f"evaluate_{function}")(*arguments)
@@ -94,10 +94,10 @@ def evaluators(given):
         "frames": of("evaluate_frames", "frames", given.only, given.kinds, given.keep, given.method, verbose),
         "floors": of("evaluate_frames", "floors", given.only, given.kinds, verbose),
         "whitening": of("evaluate_whitening", "whitening", given.only),
-        "tracking": of("tracking_figures", "tracking", *films, kinds or KINDS, verbose, *seen),
+        "tracking": of("tracking_figures", "tracking", *films, given.kinds, verbose, *seen),
         "trust": of("evaluate_trust", "trust", given.n, given.first, verbose),
-        "dynamics": of("dynamics_figures", "dynamics", *films, kinds, given.keep, verbose),
-        "prediction": of("evaluate_prediction", "prediction", *films, kinds, given.keep),
+        "dynamics": of("dynamics_figures", "dynamics", *films, given.kinds, given.keep, verbose),
+        "prediction": of("evaluate_prediction", "prediction", *films, given.kinds, given.keep),
         "tosses": of("evaluate_prediction", "tosses", given.n, given.first, given.keep),
         "physics": of("evaluate_physics", "physics", given.n),
         "verdicts": of("evaluate_stability", "verdicts", given.n, given.first, options),
@@ -110,14 +110,14 @@ def evaluators(given):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", help=f"of {', '.join(SETS + REAL_SETS)}; default: all")
-    parser.add_argument("-n", type=int, default=40, help="scenes of each made set")
+    parser.add_argument("-n", type=at_least_one, default=40, help="scenes of each made set")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (its seed)")
-    parser.add_argument("--seeds", type=int, default=1, help="with which each frame of mosd is inferred")
+    parser.add_argument("--seeds", type=at_least_one, default=1, help="with which each frame of mosd is inferred")
     parser.add_argument("--method", default="auto")
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--sensor", default="kinect", help="of films")
     parser.add_argument("--motion", type=float, default=0.0, help="metres a second that the camera of films moves")
-    parser.add_argument("--size", default="160x120", help="of the frames of tracked films, pixels")
+    parser.add_argument("--size", type=pixels, default=(160, 120), help="of the frames of tracked films, pixels")
     parser.add_argument("--fps", type=float, help="of tracked films; default: 24 to 60, by kind")
     parser.add_argument("--kinds", default="", help="of films or variants, such as place,topple; default: all")
     parser.add_argument("--keep", default="", help="folder of results of films or frames that are not done again")

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from arguments import names_in
 from real_frames import real_folder
 
 from derender.camera.intrinsics import Camera
@@ -398,9 +399,8 @@ def evaluate_floors(only="", kinds="", verbose=False):
     SUPPORT of half of its pixels that are seen, where these are SOME of all. Takes what `evaluate_frames` does.
     """
     labels, folder = labelled_frames()
-    frames = {name: read_frame(folder, name, labels[name]) for name in filter(None, only.split(","))} or {
-        name: read_frame(folder, name, label) for name, label in labels.items()
-    }
+    frames = {name: read_frame(folder, name, labels[name]) for name in names_in(only, labels, "frame")}
+    variants = names_in(kinds, VARIANTS, "variant")
     lies = {}
     for name, frame in frames.items():
         _, normal, offset = first_floor(frame)
@@ -410,7 +410,7 @@ def evaluate_floors(only="", kinds="", verbose=False):
         f"the support is found in {len(lies)} of {sum(frame.label['support'] is not None for frame in frames.values())}"
     )
     print("| variant | support | not in | seconds |\n" + "|---" * 4 + "|")
-    for kind in [kind for kind in kinds.split(",") if kind] or list(VARIANTS):
+    for kind in variants:
         met, began = {}, time.perf_counter()
         for name in lies:
             made = VARIANTS[kind](np.random.default_rng(STREAM), frames[name])
@@ -444,12 +444,12 @@ def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
     scores, from which what is there is taken. method : see Options.
     """
     labels, folder = labelled_frames()
-    names = [name for name in only.split(",") if name] or list(labels)
-    chosen = [kind for kind in kinds.split(",") if kind] or list(VARIANTS)
-    scores: dict[str, dict[str, Score]] = {kind: {} for kind in chosen}
+    names = names_in(only, labels, "frame")
+    variants = names_in(kinds, VARIANTS, "variant")
+    scores: dict[str, dict[str, Score]] = {kind: {} for kind in variants}
     for name in names:
         frame = read_frame(folder, name, labels[name])
-        for kind in chosen:
+        for kind in variants:
             kept = Path(keep) / f"{name}.{kind}.json" if keep else None
             if kept is not None and kept.exists():
                 row = Score(**json.loads(kept.read_text()))

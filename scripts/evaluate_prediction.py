@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from arguments import names_in
 from real_frames import real_folder
 from sequences import FRAMES, KINDS, make_sequence, write_sequence
 
@@ -213,7 +214,7 @@ def evaluate_prediction(count, first, sensor, kinds, keep):
     folder = make_folder(keep) if keep else None
     print(HEAD.format("kind", "things"))
     everything = []
-    for kind in kinds or FILMS:
+    for kind in names_in(kinds, FILMS, "kind of film"):
         rows = []
         for seed in range(first, first + count):
             path = folder and folder / f"prediction_{kind}_{seed:03d}.json"

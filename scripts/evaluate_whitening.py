@@ -12,7 +12,8 @@ not as they are modelled: on a bare table alone so few pixels need them that the
 """
 
 import numpy as np
-from real_frames import real_folder
+from arguments import names_in
+from evaluate_frames import labelled_frames
 
 from derender.camera.depth_file import read_depth
 from derender.detection.calibration import NORMAL_99, correlation, fit_sensor, residuals
@@ -28,10 +29,9 @@ def evaluate_whitening(only):
           "| most, fitted | 99 %, fitted | shared, alone |")  # fmt: skip
     print("|---" * 12 + "|")
     after, tails = {}, {}
-    for path in sorted((real_folder() / "frames").glob("*_camera.json")):
-        name = path.name.removesuffix("_camera.json")
-        if only and name not in only.split(","):
-            continue
+    labels, folder = labelled_frames()
+    for name in names_in(only, labels, "frame"):
+        path = folder / f"{name}_camera.json"
         seen = read_depth(str(path.with_name(f"{name}.png")), str(path), None)
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
         for widest in (WIDEST, depth.shape[1]):

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from arguments import at_least_one
 
 from derender.cli import status_of
 from derender.evaluation.convex import intersection_over_union
@@ -178,7 +179,7 @@ def main(arguments=None):
         metavar="KIND",
         help="; ".join(f"{k}: {v.says}" for k, v in KINDS.items()).replace("%", "%%"),
     )
-    parser.add_argument("-n", type=int, default=12, help="scenes of each kind")
+    parser.add_argument("-n", type=at_least_one, default=12, help="scenes of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--method", default="auto", choices=("auto", "map"))
     parser.add_argument("-v", action="store_true", help="a line for each scene")

@@ -30,6 +30,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from arguments import at_least_one
 
 from derender.cli import group, status_of
 
@@ -375,7 +376,7 @@ def fault_of(told: tuple[int | None, str, str, str], silent: bool) -> str:
 def main() -> int:
     """Run the tries and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-n", type=int, default=2000, help="tries")
+    parser.add_argument("-n", type=at_least_one, default=2000, help="tries")
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no other after so many")
     parser.add_argument("--only", default="", help="a part of the command")

@@ -1,5 +1,6 @@
 """Write the list of commands into README.md, between its markers: python scripts/list_commands.py"""
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -40,7 +41,9 @@ def updated(text: str) -> str:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="only say by the exit status whether the list is fresh")
     fresh = updated(README.read_text())
-    if "--check" in sys.argv:
+    if parser.parse_args().check:
         sys.exit(fresh != README.read_text())
     README.write_text(fresh)

@@ -3,6 +3,7 @@
 usage: python scripts/lock.py     in an environment in which `make test` has just passed
 """
 
+import argparse
 import sys
 import tomllib
 from importlib import metadata
@@ -40,6 +41,7 @@ def installed_closure(requirements: list[Requirement]) -> dict[str, str]:
 
 def main() -> None:
     """Write the file and say how many there are."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"].values()
     texts = [*project["dependencies"], *(text for extra in extras for text in extra)]

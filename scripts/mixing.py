@@ -17,6 +17,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import numpy as np  # noqa: E402
+from arguments import at_least_one  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import document_from, read_prior_document  # noqa: E402
@@ -95,9 +96,9 @@ def steps_a_second(size: tuple[int, int]) -> float:
 def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("-n", type=int, default=20, help="towers")
+    parser.add_argument("-n", type=at_least_one, default=20, help="towers")
     parser.add_argument("--first", type=int, default=0, help="number of the first tower")
-    parser.add_argument("--thin", type=int, default=30)
+    parser.add_argument("--thin", type=at_least_one, default=30)
     arguments = parser.parse_args()
     for size in ((64, 64), (160, 120)):
         alone = steps_a_second(size)

@@ -20,6 +20,8 @@ from pathlib import Path
 from queue import Queue
 from typing import NamedTuple
 
+from arguments import at_least_one
+
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("derender", "data", "tests", "scripts", "pyproject.toml", "README.md", "Makefile")
 ALLOWED = 3  # survivors
@@ -216,7 +218,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("words", nargs="*", help="parts of titles or files; none: all mutations")
     parser.add_argument("--check", action="store_true", help="only see whether the table fits the code")
-    parser.add_argument("-j", "--jobs", type=int, default=1, help="mutations at a time")
+    parser.add_argument("-j", "--jobs", type=at_least_one, default=1, help="mutations at a time")
     arguments = parser.parse_args()
     wrong = misfits()
     for line in wrong:
@@ -228,7 +230,7 @@ def main() -> int:
     if arguments.check or wrong:
         print(f"{len(MUTATIONS)} mutations, {len(wrong)} that no longer fit")
         return int(bool(wrong))
-    survived, jobs = [], max(1, arguments.jobs)
+    survived, jobs = [], arguments.jobs
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
         copies: Queue = Queue()
         for number in range(jobs):

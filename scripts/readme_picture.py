@@ -5,10 +5,12 @@ python scripts/readme_picture.py IMAGE CAMERA RESULT data/pictures/derender.png
 RESULT is a folder written by `infer`.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
+from arguments import target
 from PIL import Image
 
 from derender.camera.depth_file import read_depth
@@ -57,9 +59,14 @@ def seen_from_elsewhere(solids, turn: float, lift: float):
     return solids._replace(pose=moved @ solids.pose)
 
 
-def main(image: str, camera: str, result: str, target: str) -> None:
-    seen = read_depth(image, camera)
-    solids = read_document(Path(result) / "scene.yaml").graph.solids()
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("image", "camera", "result"):
+        parser.add_argument(name)
+    parser.add_argument("picture", type=target, help="PNG file to write")
+    given = parser.parse_args()
+    seen = read_depth(given.image, given.camera)
+    solids = read_document(Path(given.result) / "scene.yaml").graph.solids()
     colours = default_colours(solids)
     pictures = [
         depth_picture(seen.depth),
@@ -69,9 +76,8 @@ def main(image: str, camera: str, result: str, target: str) -> None:
     whole = Image.new("RGB", (3 * WIDTH + 2 * GAP, HEIGHT), "white")
     for place, picture in enumerate(pictures):
         whole.paste(picture, (place * (WIDTH + GAP), 0))
-    Path(target).parent.mkdir(exist_ok=True)
-    whole.save(target, optimize=True)
+    whole.save(given.picture, optimize=True)
 
 
 if __name__ == "__main__":
-    sys.exit(status_of(lambda: main(*sys.argv[1:])))
+    sys.exit(status_of(main))

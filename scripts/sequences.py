@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
@@ -393,7 +394,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder")
     parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS)}; default: all")
-    parser.add_argument("-n", type=int, default=1, help="sequences of each kind")
+    parser.add_argument("-n", type=at_least_one, default=1, help="sequences of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first one (its seed)")
     parser.add_argument("--sensor", default="kinect", choices=[*SENSORS, "plain"])
     parser.add_argument("--motion", type=float, default=0.0, help="metres a second that the camera moves")

@@ -17,9 +17,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from arguments import at_least_one
+
 import derender
 from derender.batch.frames import Frame, Order, infer_frame
 from derender.camera.depth_file import write_depth
+from derender.cli import status_of
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.structures.options import Options
 
@@ -51,7 +54,7 @@ def write_frames(folder):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-n", type=int, default=2000, help="frames")
+    parser.add_argument("-n", type=at_least_one, default=2000, help="frames")
     parser.add_argument("--whole", action="store_true", help="whole posteriors, not the best scene only")
     arguments = parser.parse_args()
     os.environ[THREADS_VARIABLE] = "1"
@@ -78,4 +81,4 @@ def main():
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(status_of(main))

@@ -20,8 +20,10 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
 from derender.camera.depth_file import write_depth
+from derender.cli import status_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
 
@@ -48,8 +50,8 @@ def run(frames, output, *options):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-n", type=int, default=40, help="frames, more than processes")
-    parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("-n", type=at_least_one, default=40, help="frames, more than processes")
+    parser.add_argument("--processes", type=at_least_one, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         frames = Path(place) / "frames"
@@ -77,4 +79,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import names_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -169,7 +170,7 @@ def evaluate_tracking(count, first, sensor, kinds, verbose, motion, size, fps):
         "| kind | films | lost | error 95 %, mm | switched | F1 of contacts | true poses | coverage 90 % | ms a frame |"
     )
     print("|---" * 9 + "|")
-    for kind in kinds:
+    for kind in names_in(kinds, KINDS, "kind of film"):
         all_rows, milliseconds = [], []
         for k in range(first, first + count):
             rng = np.random.default_rng([k, KINDS.index(kind)])

@@ -6,10 +6,12 @@ Above is the depth image, below the best scene, red where the image does not fit
 noisy; the wrong answer is that of a person who says that there are boxes only.
 """
 
+import argparse
 import sys
 from dataclasses import replace
 
 import numpy as np
+from arguments import target
 from PIL import Image
 from readme_picture import GAP, depth_picture, scene_picture
 
@@ -51,7 +53,10 @@ def panel(image, posterior):
     return np.vstack([seen, np.full((GAP, SIZE[0], 3), 255, np.uint8), shown])
 
 
-def main(target):
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("picture", type=target, help="PNG file to write")
+    path = parser.parse_args().picture
     panels = []
     for name, image, posterior in answers():
         print(name, "trusted" if posterior.trusted else "not trusted")
@@ -63,8 +68,8 @@ def main(target):
             print("  ", found.name, (1000 * found.size).round(), "±", (1000 * found.size_error).round(1), "mm")
         panels += [panel(image, posterior), np.full((2 * SIZE[1] + GAP, GAP, 3), 255, np.uint8)]
     picture = Image.fromarray(np.hstack(panels[:-1]))
-    picture.save(target, optimize=True)
+    picture.save(path, optimize=True)
 
 
 if __name__ == "__main__":
-    sys.exit(status_of(lambda: main(*sys.argv[1:])))
+    sys.exit(status_of(main))

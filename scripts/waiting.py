@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
 from derender.cli import status_of
 
@@ -59,7 +60,7 @@ def row(name, found):
 def main() -> None:
     """Print the two tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("-n", type=int, default=5)
+    parser.add_argument("-n", type=at_least_one, default=5)
     parser.add_argument("--only", action="append", choices=SETS, help="time inference on this set alone, warm")
     count, only = parser.parse_args().n, parser.parse_args().only
     with tempfile.TemporaryDirectory() as name:
