@@ -61,11 +61,12 @@ class DepthImage(NamedTuple):
     meta: dict[str, Any] = {}
 
     def __repr__(self) -> str:
-        height, width = self.depth.shape
-        known = self.depth[np.isfinite(self.depth)]
+        depth = np.asarray(self.depth)
+        known = depth[np.isfinite(depth)]
         depths = f"{known.min():.3g} to {known.max():.3g} m" if known.size else "no depths"
         guess = ", its camera a guess" if self.camera_is_guess else ""
-        return f"<DepthImage: {width} x {height}, {depths} in {known.size / self.depth.size:.0%} of it{guess}>"
+        size = " x ".join(map(str, depth.shape[::-1]))
+        return f"<DepthImage: {size}, {depths} in {known.size / max(depth.size, 1):.0%} of it{guess}>"
 
 
 @only_its_keywords
@@ -141,6 +142,8 @@ def _array(given: object) -> np.ndarray:
     """Return what a program gives for an image as an array; DerenderError where it is none."""
     if isinstance(given, np.ma.MaskedArray):  # what is masked has no return
         return given.filled(0 if given.dtype.kind in "iu" else np.nan)
+    if isinstance(given, list | tuple) and any(isinstance(each, str | Path | DepthImage) for each in given):
+        raise DerenderError("these are several images", remedy="give one; a loop over them is many")
     try:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths
@@ -154,7 +157,7 @@ def _array(given: object) -> np.ndarray:
 def _at_its_size(camera: Camera, shape: tuple[int, int]) -> str:
     """Return what a camera file would have to hold were it the same camera, its image scaled; "" where it cannot be."""
     factor = camera.width / shape[1]
-    if abs(camera.height - factor * shape[0]) > 0.5 * factor:  # another aspect
+    if abs(camera.height - factor * shape[0]) > 0.5 * factor or camera.height < factor:  # another aspect
         return ""
     small = camera.downscaled(factor).to_dict() | {"height": shape[0], "width": shape[1]}
     numbers = {key: round(n, 3) for key, n in small.items() if isinstance(n, int | float)}

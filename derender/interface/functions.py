@@ -1,6 +1,7 @@
 """The functions of `import derender`: read, draw, render, infer and simulate, in plain Python."""
 
 import warnings
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
@@ -30,7 +31,8 @@ read_depth = in_pythons_words(depth_file.read_depth)
 def load(path: str | Path) -> Scene | Document | Posterior:
     """Return what a file or folder holds: a Scene, a prior, or a Posterior.
 
-    path : a scene file, a prior file or the name of a built-in prior, or a folder that `derender infer` wrote.
+    path : a scene file, a prior file or the name of a built-in prior, a folder that `derender infer` wrote, or what
+        `save` of any of these wrote.
 
     Raises DerenderError : there is none of them.
 
@@ -43,7 +45,7 @@ def load(path: str | Path) -> Scene | Document | Posterior:
     if Path(path).is_dir():
         image = Path(path) / "observation.npz"
         return Posterior.of(kept.load(path), read_depth(image) if image.is_file() else None)
-    if Path(path).suffix == ".npz":
+    if Path(path).suffix == ".npz" or Path(path).is_file() and zipfile.is_zipfile(path):
         return Posterior.of(kept.load(path), None)
     document = read_prior_document(path)
     return _scene_of(document) if document.is_scene else document
@@ -166,7 +168,8 @@ def infer(
     elif camera is not None or depth_scale is not None:
         raise TypeError("infer(): a DepthImage has its camera and metres; leave camera and depth_scale out")
     else:  # a program may have put anything into it
-        image = image._replace(depth=read_depth(image.depth, image.camera).depth)
+        read = read_depth(image.depth, image.camera)
+        image = read._replace(camera_is_guess=image.camera_is_guess or read.camera_is_guess, meta=image.meta)
     seen = look_at(image, document, "image", _warn)
     check_request(options, document, prior, _warn)
     posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)

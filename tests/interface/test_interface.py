@@ -92,6 +92,9 @@ def test_what_is_taken_for_an_image(image, tmp_path):
         (np.zeros((48, 64)), "no pixel has a depth"),
         ("missing.npy", "missing.npy: cannot read the depth image"),
         (derender.DepthImage(np.ones((9, 9)), derender.Camera(9, 9, 4, 4, 8, 9)), "is 9 x 9 pixels, its camera 8 x 9"),
+        (derender.DepthImage(np.ones((1, 1)), derender.Camera(9, 9, 4, 4, 9, 6)), "is 1 x 1 pixels, its camera 9 x 6"),
+        (["first.npy", "second.npy"], "these are several images"),
+        ([derender.DepthImage(np.ones((9, 9)), None)] * 2, "these are several images"),
     ],
 )
 def test_what_is_refused_for_an_image(thing, words):
@@ -146,6 +149,17 @@ def test_a_depth_image_of_units_is_millimetres(image):
     units = derender.DepthImage(np.nan_to_num(1000 * image.depth).round().astype(np.uint16), image.camera)
     size = derender.infer(units, quick=True).objects[0].size
     assert 0.01 < size.min() <= size.max() < 0.5
+
+
+def test_a_depth_image_made_of_lists_and_keys_is_one(image):
+    """Its repr failed on rows, and inference on a mapping that Camera is made of, or on no camera, after the search."""
+    depth = np.nan_to_num(image.depth).tolist()
+    made = derender.DepthImage(depth, image.camera.to_dict())
+    assert repr(made).startswith("<DepthImage: 64 x 48, 0")
+    size = derender.infer(made, quick=True).objects[0].size
+    np.testing.assert_array_equal(size, derender.infer(image, quick=True).objects[0].size)
+    with pytest.warns(UserWarning, match="camera= is not given"):
+        assert derender.infer(derender.DepthImage(depth, None), quick=True).camera.width == 64
 
 
 def test_a_scene_is_seen_by_a_camera_or_its_file(tmp_path):
@@ -289,6 +303,8 @@ def test_a_scene_goes_elsewhere(posterior, tmp_path):
     scene.save(tmp_path / "scene.yaml")
     scene.save(tmp_path / "scene.glb")
     assert derender.load(tmp_path / "scene.yaml").graph == scene.graph
+    posterior.save(tmp_path / "kept")  # no suffix tells what it is
+    assert derender.load(tmp_path / "kept").structures[0].words == posterior.structures[0].words
     assert scene.simulate(duration=0.1).poses.shape[1:] == (3, 4, 4)
     told = derender.simulate(posterior, duration=0.1, draws=4)
     assert scene.simulate(0.1, remove="yellow").names == ("green", "red")
