@@ -17,6 +17,7 @@ except ImportError:  # not on Windows: there what a killed writer leaves stays
     fcntl = None  # type: ignore[assignment]
 
 UNFINISHED = ".new-"
+ROOM = 2_000_000  # bytes that have to be free before hours are spent: a result of 640 x 480 pixels takes about so many
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.atomic import make_folder
+from derender.atomic import ROOM, make_folder
 from derender.camera.camera_file import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.depth_file import DepthImage, Reading
 from derender.camera.intrinsics import Camera
@@ -26,7 +26,6 @@ from derender.structures.options import Frame, Options, names_objects
 from derender.structures.precompile import precompile
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
-ROOM = 2_000_000  # bytes that have to be free before hours are spent: a result of 640 x 480 pixels takes about so many
 WRITERS = ("derender.report.html", "derender.results.predictive", "h5py")  # modules that only the files need
 # Of a scene whose objects are given nothing remains to be said of what there is.
 FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")

@@ -17,7 +17,7 @@ from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from derender.atomic import files_together, make_folder, write_bytes
+from derender.atomic import ROOM, files_together, make_folder, write_bytes
 from derender.batch.frames import (
     THUMBNAIL,
     Done,
@@ -77,7 +77,7 @@ def infer_frames(
     progress : called with (fraction done, words about the frames and the time left).
     warn : called with a line about files that are left out.
 
-    Raises DerenderError : no frame, or results of other options in the folder.
+    Raises DerenderError : no frame, or results of other options in the folder; or its disk is full.
     """
     watcher = Watch(arguments, output) if watch else None
     frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic, warn=warn)
@@ -105,6 +105,8 @@ def infer_frames(
     try:
         with interruptible() as stop:
             while crew.busy or (not stop.is_set() and (waiting or watcher)):
+                if waiting:
+                    make_folder(output, ROOM)  # else all that are left would be inferred in vain
                 begin()
                 finished = crew.finished(LOOK)
                 begin()  # nobody waits while the others are told of

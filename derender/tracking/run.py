@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.atomic import make_folder
+from derender.atomic import ROOM, make_folder
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
@@ -116,7 +116,7 @@ def track_to_folder(
         warn(note)
     events = events_of(track)
     tell_events(track, told, tell, 0)
-    folder = make_folder(output or f"{Path(sources[0]).stem}_tracked")
+    folder = make_folder(output or f"{Path(sources[0]).stem}_tracked", ROOM)
     title = f"Track of {Path(sources[0]).name}"
     page = report_page(track, frames, film.camera, events, title)
     write_track(folder, track, page, {"seed": options.seed, "command": command})

@@ -191,6 +191,34 @@ def test_tables_that_take_long_are_written_seldom_and_nobody_waits_for_them(tmp_
     assert told[:4] == ["begun", "begun", "recorded", "begun"]
 
 
+def test_a_full_disk_stops_a_run_before_the_rest_is_inferred_in_vain(tmp_path, monkeypatch):
+    """It was found out by each frame, when its files were written."""
+    for k in range(5):
+        np.save(tmp_path / f"{k}.npy", np.ones((4, 4)))
+    begun = []
+
+    class Crew:
+        size, busy = 1, 0
+
+        def submit(self, frame):
+            self.busy = 1
+            begun.append(frame)
+            if len(begun) == 2:
+                monkeypatch.setattr("derender.atomic.shutil.disk_usage", lambda path: SimpleNamespace(free=64_000))
+
+        def finished(self, timeout):
+            self.busy = 0
+            return [failure(begun[-1], "no floor")]
+
+        def close(self):
+            pass
+
+    with pytest.raises(DerenderError, match="out: the disk is full: 0.1 of the 2 MB that are needed; make room"):
+        infer_frames([str(tmp_path)], tmp_path / "out", Order(), lambda order, output: Crew())
+    assert len(begun) == 2
+    assert (tmp_path / "out" / "results.csv").read_text().count("failed") == 1  # the other was in work
+
+
 def test_a_frame_that_failed_while_its_copy_stalled_is_done_when_it_is_whole(tmp_path, monkeypatch):
     """A folder is watched; the frame's copy goes on after it has failed, and again while it is worked on."""
     path, begun = tmp_path / "a.npy", []
