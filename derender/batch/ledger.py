@@ -15,7 +15,7 @@ from derender.atomic import check_files, locked, make_folder, write_text
 from derender.batch.frames import LEDGER, RESULT, THUMBNAIL, Done, Frame, Order, is_done, rows_in, still_tells
 from derender.errors import DerenderError, printable
 from derender.json_text import misfit, parse_json
-from derender.results.table import EXTENTS, as_csv, as_lines, as_page, digits, extents_text, read_lines
+from derender.results.table import EXTENTS, as_csv, as_lines, as_page, digits, extents_text, read_lines, type_text
 
 RUN, TABLE, PAGE = "batch.json", "results.csv", "index.html"
 
@@ -191,4 +191,6 @@ def _object(row: Mapping[str, Any]) -> str:
     ranges = [(row[f"{side}_low"], row[f"{side}_high"]) for side in EXTENTS]
     sizes = extents_text([row[side] for side in EXTENTS], None if None in ranges[0] else ranges)
     probability = f", p {escape(digits(row['probability']))}" if row["probability"] is not None else ""
-    return f"{escape(str(row['object']))}: {sizes}, on {escape(str(row['rests_on']))}{probability}"
+    kind = type_text(str(row["type"]), row["type_probability"])
+    doubted = f", {escape(kind)}" if kind != row["type"] else ""  # the name says it otherwise
+    return f"{escape(str(row['object']))}{doubted}: {sizes}, on {escape(str(row['rests_on']))}{probability}"

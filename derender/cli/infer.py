@@ -207,9 +207,9 @@ def command(talk: Talk, **arguments: Any) -> int | None:
     and with thumbnail.png. DIR/index.html shows them all. DIR/results.csv and DIR/results.jsonl have a row for each
     object: frame, status (done or failed), object, type, length, width, height and the ends of their 90 % ranges
     (metres), x, y, z and qw, qx, qy, qz (object to camera), turn (radians, seen from above, against the camera's x
-    axis), rests_on, probability, object_trusted, trusted, doubts; a frame without objects, or one that failed, has one
-    row. A frame that fails does not stop the others; the exit status is then 1. The same command run again does what
-    is missing.
+    axis), rests_on, probability (that it is there), type_probability (that it is then of this type), object_trusted,
+    trusted, doubts; a frame without objects, or one that failed, has one row. A frame that fails does not stop the
+    others; the exit status is then 1. The same command run again does what is missing.
 
     A recording of ROS, ROS 2 or the RealSense viewer (.bag, .mcap, .db3 or the folder; pip install 'derender[ros]') has
     many frames, with their camera; recording.bag@12 is one of them.

@@ -24,7 +24,7 @@ from derender.report.tables import text_table
 from derender.report.tree_text import structure_words, told_structures
 from derender.results import posterior as kept
 from derender.results.predictive import blocks_of, predictive_images, write_netcdf
-from derender.results.table import EXTENTS, digits, extents_text
+from derender.results.table import EXTENTS, digits, extents_text, type_text
 from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Structure(NamedTuple):
 class Found(NamedTuple):
     """One object of a posterior's most probable scene.
 
-    name, type : of the object.
+    name, type : of the object; type_probability : of each type that it may be of, given that it is there.
     size : (3,) metres, full extents along its own axes; size_error : (3,), half of their 90 % ranges; NaN: no draws.
     pose : (4, 4), object to camera.
     parent : what it rests on; parent_probability : of each thing that it may rest on, by name.
@@ -68,6 +68,7 @@ class Found(NamedTuple):
     parent: str
     parent_probability: dict[str, float]
     probability: float
+    type_probability: dict[str, float]
 
 
 class Objects(tuple[Found, ...]):
@@ -81,7 +82,8 @@ class Objects(tuple[Found, ...]):
         for found in self:
             ranges = np.column_stack([found.size - found.size_error, found.size + found.size_error])
             words = extents_text(found.size, ranges if np.isfinite(ranges).all() else None)
-            told.append((found.name, found.type, words, found.parent, digits(found.probability)))
+            kind = type_text(found.type, found.type_probability[found.type])
+            told.append((found.name, kind, words, found.parent, digits(found.probability)))
         return told
 
     def __repr__(self) -> str:
@@ -106,7 +108,11 @@ class Objects(tuple[Found, ...]):
         pandas = optional("pandas", "pandas is not installed", "pip install pandas")
         rows = []
         for found in self:
-            row: dict[str, Any] = {"name": found.name, "type": found.type}
+            row: dict[str, Any] = {
+                "name": found.name,
+                "type": found.type,
+                "type_probability": found.type_probability[found.type],
+            }
             for side, size, error in zip(EXTENTS, found.size, found.size_error, strict=True):
                 row |= {side: float(size), f"{side}_error": float(error)}
             row |= dict(zip("xyz", map(float, found.pose[:3, 3]), strict=True))
@@ -173,7 +179,7 @@ class Posterior(kept.Posterior):
             found.append(
                 Found(
                     item["name"], item["type"], np.array(item["size"]), 0.5 * (high - low), np.array(item["pose"]),
-                    item["parent"], item["parent_probability"], item["probability"],
+                    item["parent"], item["parent_probability"], item["probability"], item["type_probability"],
                 )
             )  # fmt: skip
         return Objects(found)

@@ -14,7 +14,7 @@ from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
 from derender.results import trust
-from derender.results.table import as_page, extents_text, probability_text
+from derender.results.table import as_page, extents_text, probability_text, type_probability, type_text
 from derender.results.trust import Region
 from derender.scene import solids as kinds
 
@@ -116,7 +116,7 @@ def _objects(report: Report, colours: Mapping[str, str]) -> str:
         shown = f'<button type="button" data-object="{name}" aria-pressed="false">{swatch} {name}</button>'
         rows.append(
             f'<tr data-object="{name}"><td>{shown if size is not None else swatch + " " + name}</td>'
-            f"<td>{escape(item['type'])}</td><td class=number>{extents}</td>"
+            f"<td>{escape(type_text(item['type'], type_probability(item)))}</td><td class=number>{extents}</td>"
             f"<td class=number>{position}</td><td>{escape(str(item.get('parent') or '–'))}</td>"
             f"<td class=number>{likely}</td></tr>"
         )

@@ -12,8 +12,8 @@ def scene_json(graph: SceneGraph, posterior: Posterior | None = None) -> dict[st
     """Return the scene in camera axes: objects with type, full extents, pose, parent, contact.
 
     graph : the scene; with a posterior, its most probable one.
-    posterior : adds `size_interval`, `probability` and `parent_probability` to each object, and `support_probability`
-        to what may have a second support.
+    posterior : adds `size_interval`, `probability`, `parent_probability` and `type_probability` to each object, and
+        `support_probability` to what may have a second support.
 
     Returns {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
     (results/trust.py) `explained`, `trusted` and `doubts`, and `trusted` of each object; of an object, `size` is the
@@ -42,6 +42,7 @@ def scene_json(graph: SceneGraph, posterior: Posterior | None = None) -> dict[st
             entry["probability"] = float(posterior.object_probability(vertex.name))
             entry["probability_error"] = float(posterior.object_probability_error(vertex.name))
             entry["parent_probability"] = posterior.parent_probability(vertex.name)
+            entry["type_probability"] = posterior.shape_probability(vertex.name)
             if supports := posterior.support_probability(vertex.name):
                 entry["support_probability"] = supports
         if "in_doubt" in meta:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.results.table import SURE, digits
+from derender.results.table import SURE, digits, type_probability, type_text
 
 CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f", "#c51b7d", "#4d4d4d")
 TRACE_POINTS = 160
@@ -148,7 +148,7 @@ def rank_svg(draws: np.ndarray) -> str:
 def _node_words(item: Mapping[str, Any] | None) -> str:
     if item is None:
         return "frame"
-    words = item["type"]
+    words = type_text(item["type"], type_probability(item))
     size = item.get("size")
     if size is not None:
         if item["type"] in ("sphere", "cube"):

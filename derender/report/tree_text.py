@@ -13,7 +13,7 @@ from derender.sampling.diagnostics import within_a_turn
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.objects import ROTATION
 
-ALTERNATIVE = 0.005  # another parent is named from this probability on
+ALTERNATIVE = 0.005  # another parent or type is named from this probability on
 
 
 def scene_lines(graph: SceneGraph, posterior: Any = None) -> list[str]:
@@ -88,7 +88,9 @@ def _probabilities(vertex: Vertex, posterior: Any) -> str:
     others = posterior.support_probability(vertex.name)
     also = "".join(f", also {name} {digits(share)}" for name, share in others.items() if share >= ALTERNATIVE)
     there = probability_text(posterior.object_probability(vertex.name), posterior.object_probability_error(vertex.name))
-    return f"p {there} (on {shares}{also})"
+    types = {name: share for name, share in posterior.shape_probability(vertex.name).items() if share >= ALTERNATIVE}
+    kinds = "; " + ", ".join(f"{name} {digits(share)}" for name, share in types.items()) if len(types) > 1 else ""
+    return f"p {there} (on {shares}{also}{kinds})"
 
 
 SHOWN_WEIGHT = 0.005  # less is none in two digits

@@ -21,15 +21,18 @@ DIGITS = 6  # after the point: micrometres and microradians, a thousandth of wha
 # frame : its name; status : done or failed; object, type : of a solid, empty where the frame shows none; length, width,
 # height : its full extents along its own x, y, z in metres, with the ends of their 90 % ranges; x, y, z : where its
 # middle is in camera axes, metres; qw, qx, qy, qz : its rotation, object to camera; turn : of its x about the vertical
-# against the camera's x, radians; rests_on : what it stands on; probability : that it is there; object_trusted :
-# whether it is to be trusted; trusted, doubts : whether the whole frame's result is, and why not.
+# against the camera's x, radians; rests_on : what it stands on; probability : that it is there; type_probability : that
+# it is then of this type; object_trusted : whether it is to be trusted; trusted, doubts : whether the whole frame's
+# result is, and why not.
 COLUMNS = (
     "frame", "status", "object", "type", *(f"{side}{end}" for side in EXTENTS for end in ("", "_low", "_high")),
-    "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "object_trusted", "trusted", "doubts",
+    "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "type_probability",
+    "object_trusted", "trusted", "doubts",
 )  # fmt: skip
 
 # What is read of a row, as `misfit` takes it.
-ROW = {"frame": str, "status": str, "trusted": bool, "doubts": [str], "probability?": {float, None},
+ROW = {"frame": str, "status": str, "trusted": bool, "doubts": [str],
+       **dict.fromkeys(("probability?", "type_probability?"), {float, None}),
        **dict.fromkeys(("object?", "type?", "rests_on?"), {str, None}),
        **{f"{side}{end}?": {float, None} for side in EXTENTS for end in ("", "_low", "_high")}}  # fmt: skip
 
@@ -55,6 +58,7 @@ def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
         row |= dict(zip(("qw", "qx", "qy", "qz"), map(float, quaternion(pose[:3, :3])), strict=True))
         row["turn"] = turn_of(pose, scene["gravity"])
         row["rests_on"], row["probability"] = item["parent"], item.get("probability")
+        row["type_probability"] = type_probability(item)
         row["object_trusted"] = item.get("trusted", told["trusted"])
         rows.append({k: round(v, DIGITS) if isinstance(v, float) else v for k, v in row.items()})
     return rows or [_row(frame, "done") | told]
@@ -134,6 +138,17 @@ def extents_text(size: Iterable[float], ranges: Iterable[Iterable[float]] | None
         places = 1 if half == 0.0 or half >= 0.05 else 2
         words.append(f"{100 * value:.{places}f}" + (f" ± {max(half, 0.01):.{places}f}" if half > 0.0 else ""))
     return " × ".join(words)
+
+
+def type_probability(item: Mapping[str, Any]) -> float | None:
+    """Return how probable the type is that an object is told to be of, given that it is there; None: nothing says."""
+    shares = item.get("type_probability")
+    return None if shares is None else float(shares.get(item["type"], 0.0))
+
+
+def type_text(name: str, probability: float | None) -> str:
+    """Return a type, with its probability where others are possible: "cube", "cube (p .35)"."""
+    return name if probability is None or probability > SURE else f"{name} (p {digits(probability)})"
 
 
 SURE = 0.99  # no probability is said to be surer than that: what a search has missed it cannot know

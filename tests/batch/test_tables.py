@@ -265,6 +265,9 @@ def test_the_page_names_every_frame_and_escapes_it(tmp_path):
     assert "is made" not in index_page(tmp_path, rows)  # each has its page
     sure = {"sure": rows_of("sure", summary(FLOOR, box() | {"probability": 0.9999}))}
     assert "p &gt;.99" in index_page(tmp_path, sure)  # as everywhere: no more than that is said
+    open_type = {"open": rows_of("open", summary(FLOOR, box() | {"type_probability": {"box": 0.35, "cube": 0.65}}))}
+    assert open_type["open"][0]["type_probability"] == 0.35 and rows["<a>/1"][0]["type_probability"] is None
+    assert "box_1, box (p .35): 20.0 ± 2.0" in index_page(tmp_path, open_type)
     quick = {"quick": rows_of("quick", summary(FLOOR, box(interval=False), method="map"))}
     assert "90 % ranges" in page and "90 % ranges" not in index_page(tmp_path, quick)  # none are shown, none are told
 

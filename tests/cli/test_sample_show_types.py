@@ -123,6 +123,9 @@ class TwoParents(Posterior):
     def support_probability(self, name):
         return {"green": 0.3} if name == "yellow" else {}
 
+    def shape_probability(self, name):
+        return {"cube": 0.6, "box": 0.4} if name == "red" else super().shape_probability(name)
+
 
 def test_a_posterior_adds_its_probabilities():
     assert run("sample", "stack", "--no-images", "-q") == 0
@@ -134,6 +137,9 @@ def test_a_posterior_adds_its_probabilities():
     assert entry["probability"] == 0.75 and entry["parent_probability"] == {"floor": 0.9, "green": 0.1}
     assert "support_probability" not in entry
     assert scene_json(graph, doubtful)["objects"][3]["support_probability"] == {"green": 0.3}
+    assert entry["type_probability"] == {"cube": 1.0}
+    assert scene_json(graph, doubtful)["objects"][2]["type_probability"] == {"cube": 0.6, "box": 0.4}
+    assert "p .75 (on floor .90, green .10; cube .60, box .40)" in "\n".join(scene_lines(graph, doubtful))
     assert "p .75 (on floor .90, green .10, also green .30)" in "\n".join(scene_lines(graph, doubtful))
     assert "p .75 (on floor .90, green .10)" in "\n".join(scene_lines(graph, doubtful))
 

@@ -278,6 +278,9 @@ def test_objects_and_structures(posterior):
     assert first.size.shape == first.size_error.shape == (3,)
     assert not first.size_error.any()  # the prior says how big they are
     assert first.pose.shape == (4, 4) and sum(first.parent_probability.values()) == pytest.approx(1.0)
+    assert first.type_probability == {"cube": 1.0}
+    open_type = posterior.objects.__class__([first._replace(type_probability={"box": 0.65, "cube": 0.35})])
+    assert "cube (p .35)" in repr(open_type) and "cube (p" not in repr(posterior.objects)
     pandas = pytest.importorskip("pandas")
     table = posterior.objects.to_pandas()
     assert isinstance(table, pandas.DataFrame) and list(table.name) == names and table.length[0] == first.size[0]

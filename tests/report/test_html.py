@@ -59,6 +59,7 @@ def report():
                 "contact": {"type": "face-to-face", "parent_face": "+z", "child_face": "-z"},
                 "probability": 0.75,
                 "parent_probability": {parent: 0.5},
+                "type_probability": {kind: 0.35, "thing": 0.65} if kind == "cube" else {kind: 1.0},
             }
             for i, (name, kind, parent) in enumerate(zip(NAMES, types, parents, strict=True))
         ],
@@ -182,6 +183,12 @@ def test_page_shows_what_it_was_given(report):
     np.testing.assert_allclose(box.mean(axis=0), report.solids.pose[1, :3, 3], atol=1e-6)
     up = np.array(data["up"])
     assert up @ (ROOT[:3, 2]) == pytest.approx(1)
+
+
+def test_a_type_that_is_open_is_told_with_its_probability(report):
+    text = page(report)
+    assert "<td>cube (p .35)</td>" in text and "<td>box</td>" in text
+    assert svg.graph_svg(report.scene).count("cube (p .35)") == 1
 
 
 def test_page_without_image_or_posterior(report):
