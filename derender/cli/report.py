@@ -53,6 +53,8 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
 
 def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     """Return what a page about these results shows, and the name of the first."""
+    import numpy as np
+
     from derender.cli.reading import read_explained, read_observation, read_scene, read_simulation
     from derender.report.contents import report_of
 
@@ -68,6 +70,9 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
                 raise DerenderError("only posteriors can be put together", name, "give DIRs made by derender infer")
             posteriors.append(each.posterior)
         posterior = merge_runs(posteriors, folders)
+        images = [image for folder in folders if (image := read_observation(folder)) is not None]
+        if not all(np.array_equal(images[0][0], depth, equal_nan=True) for depth, _ in images):
+            raise DerenderError("these were not inferred from the same image", ", ".join(folders), "report them apart")
     graph = first.graph if posterior is None else posterior.best_graph()
     place = Path(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
     image = read_observation(place) if place else None

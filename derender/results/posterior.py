@@ -381,7 +381,8 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
 
     names : of the runs, for what is said of them.
 
-    Raises DerenderError : their unknowns differ, or one is a single scene.
+    Raises DerenderError : their unknowns differ, one is a single scene, or two have chains in common: those of the same
+    seed are no other draws, and would count twice.
     """
     parts = [posterior.best_part for posterior in posteriors]
     first = parts[0]
@@ -392,6 +393,13 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
         if len(posteriors) > 1 and part.log_density.size == 1:
             raise DerenderError("it is one scene and no chains", name, "report it by itself")
     draws = min(part.values.shape[1] for part in parts)
+    told: dict[bytes, str] = {}  # the run that has these draws
+    for part, name in zip(parts, names, strict=True):
+        chains = [chain.tobytes() for chain in part.values[:, :draws] if chain.size]
+        if same := next((told[chain] for chain in chains if chain in told), None):
+            raise DerenderError(f"its chains are those of {same} again: the seed is the same", name,
+                                "infer it with another --seed")  # fmt: skip
+        told |= dict.fromkeys(chains, name)
     runs = [as_seen_from(first, part).arrays for part in parts]
     joined: dict[str, Any] = {name: np.concatenate([run[name][:, :draws] for run in runs])
               for name in DRAWN if all(name in run for run in runs)}  # fmt: skip

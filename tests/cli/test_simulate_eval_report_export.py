@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from derender.cli import main
 from derender.document import read_document, write_document
 from derender.render.raycast.depth import render_depth
 from derender.report.scene_json import scene_json
-from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.posterior import Posterior, StructurePosterior, load
 
 SCENE = """derender: 1
 camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}
@@ -202,8 +203,18 @@ def test_report_of_one_and_of_several(capsys, folder):
     assert status == 0 and "wrote out/report.html" in talk and "top.contact.u" in out
     text = (folder / "out" / "report.html").read_text()
     assert "residual" in text and "seed 5" in text and "2 chains of 400 draws" in text
-    run(capsys, "report", "out", "out", "-o", "pages/both.html")
+    again = ("report", "out", "again", "-o", "pages/both.html")
+    shutil.copytree("out", "again")
+    status, _, talk = run(capsys, *again)  # as two runs with the same seed: their chains counted twice
+    assert status == 1 and "again: its chains are those of out again: the seed is the same" in talk
+    posterior = load("out")
+    part = posterior.best_part
+    replace(posterior, parts=(replace(part, values=part.values[:, ::-1] + 1e-6),)).save("again/posterior.npz")
+    run(capsys, *again)
     assert "4 chains of 400 draws" in (folder / "pages" / "both.html").read_text()
+    write_depth("again/observation.npz", np.ones((48, 64)), CAMERA)
+    status, _, talk = run(capsys, *again)  # whose chains were told to disagree
+    assert status == 1 and "out, again: these were not inferred from the same image" in talk
     status, out, _ = run(capsys, "report", "stands.yaml")
     assert status == 0 and out == "" and "explained depth" in (folder / "stands.html").read_text()
 
