@@ -73,6 +73,7 @@ def find_frames(
     Raises DerenderError : a pattern or a folder without an image.
     """
     found: dict[str, str] = {}  # the name within its folder, by path
+    places = set[str]()  # where these paths lead: ./a.npy is a.npy
     output = Path(os.path.realpath(output))
     for argument in arguments:
         shallow: list[str] = []
@@ -97,8 +98,11 @@ def find_frames(
         if shallow:
             warn(f"{argument}: {told} left out: depth in a PNG has 16")
         for path, name in paths.items():
+            place = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
             if is_unicode(path):
-                found.setdefault(path, name)
+                if place not in places:
+                    found[path] = name
+                places.add(place)
             else:
                 warn(f"{path} is left out: its name is not UTF-8, so that no table could hold it")
     return _named(found)
@@ -138,12 +142,13 @@ def _may_be_depth(path: Path, output: Path, shallow: list[str]) -> bool:
 
 
 def _named(found: dict[str, str]) -> list[Frame]:
-    """Return frames with names that no two share: where two would, they keep their folders, and then their suffixes."""
+    """Return frames with names that no two share: where two would, they keep their folders, then their suffixes, and at
+    last all folders from the root on."""
     names = dict(found)
-    for bare in (True, False):
+    for longer_of in (lambda path: Path(path).with_suffix(""), Path, lambda path: Path(os.path.abspath(path))):
         count = Counter(names.values())
         for path in [path for path, name in names.items() if count[name] > 1]:
-            longer = Path(path).with_suffix("") if bare else Path(path)  # below any folder: no root, no steps upwards
+            longer = longer_of(path)  # below any folder: no root, no steps upwards
             names[path] = "/".join(part for part in longer.parts if part not in (longer.anchor, "..", "."))
     return [Frame(name, path) for path, name in names.items()]
 

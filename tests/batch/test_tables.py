@@ -53,6 +53,8 @@ def test_frames_are_found_in_folders_patterns_and_by_name(tmp_path):
     assert find_frames([str(folder / "*.np?")], folder / "out") == [found[0], found[1]]
     named = find_frames([str(folder / "colour.png"), "missing.npy", str(folder / "colour.png")], tmp_path / "out")
     assert [frame.name for frame in named] == ["colour", "missing"]
+    again = [str(folder / "a.npz"), str(folder / "made" / ".." / "a.npz")]  # one file
+    assert [frame.name for frame in find_frames(again, tmp_path / "out")] == ["a"]
     with pytest.raises(DerenderError, match="no depth image is there;"):
         find_frames([str(folder / "*.exr")], tmp_path)
     for output in (folder, tmp_path):  # what lies in the results' folder is no frame
@@ -108,6 +110,17 @@ def test_a_file_that_grows_is_left_alone(tmp_path, monkeypatch):
     clock[0] = later
     looks += [watch.look(busy={"a"}), watch.look(), watch.look()]
     assert [len(look) for look in looks] == [0, 0, 1, 0]
+
+
+def test_frames_of_folders_above_and_below_have_names_of_their_own(tmp_path, monkeypatch):
+    """Of `run/a.npy ../run/a.npy` one took the place of the other."""
+    here = tmp_path / "here"
+    for folder in (tmp_path / "run", here / "run"):
+        folder.mkdir(parents=True)
+        (folder / "a.npy").write_bytes(b"x")
+    monkeypatch.chdir(here)
+    names = [frame.name for frame in find_frames(["run/a.npy", "../run/a.npy"], "out")]
+    assert len(set(names)) == 2 and all(name.endswith("run/a.npy") for name in names)
 
 
 def test_a_file_that_was_written_seconds_ago_may_still_grow(tmp_path):
