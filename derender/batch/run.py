@@ -29,6 +29,7 @@ from derender.batch.frames import (
     failure,
     find_frames,
     infer_frame,
+    is_pattern,
     leave_with_parent,
     request_of,
 )
@@ -75,11 +76,14 @@ def infer_frames(
     tell : called with each frame that is done, in the order of the frames whichever is done first; while watching, in
         the order in which they are done.
     progress : called with (fraction done, words about the frames and the time left).
-    warn : called with a line about files that are left out.
+    warn : called with a line about files that are left out, or are watched and not there yet.
 
     Raises DerenderError : no frame, or results of other options in the folder; or its disk is full.
     """
     watcher = Watch(arguments, output) if watch else None
+    for argument in arguments if watch else ():
+        if not (is_pattern(argument) or os.path.exists(argument)):
+            warn(f"{argument} is not there yet: it is waited for")
     frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic, warn=warn)
     if any(frame.path == "-" for frame in frames):  # whoever infers it is another process
         raise DerenderError("stdin is one image alone", "-", "leave it out, or give it without others")

@@ -252,6 +252,26 @@ def test_a_frame_that_failed_while_its_copy_stalled_is_done_when_it_is_whole(tmp
     assert (tally.done, tally.failed, tally.before) == (1, 0, 0)
 
 
+def test_what_is_watched_and_is_not_there_is_told(tmp_path):
+    """A folder whose name was mistyped was waited for in silence."""
+
+    class Crew:
+        size, busy = 1, 0
+
+        def finished(self, timeout):
+            signal.raise_signal(signal.SIGINT)
+            return []
+
+        def close(self):
+            pass
+
+    told, (there, typed) = [], (tmp_path / "frames", tmp_path / "framse")
+    there.mkdir()
+    watched = [str(there), str(typed), str(tmp_path / "*.npz")]
+    infer_frames(watched, tmp_path / "out", Order(), lambda order, out: Crew(), True, warn=told.append)
+    assert told == [f"{typed} is not there yet: it is waited for"]
+
+
 def test_a_frame_counts_as_done_only_once_its_thumbnail_is_there(tmp_path):
     (tmp_path / "summary.json").write_text("{}")
     assert not is_done(tmp_path)  # killed between the two
