@@ -98,22 +98,30 @@ def read_depth(
     >>> float(image.depth[0, 0]), image.camera.width  # 900 units are 900 mm
     (0.9, 64)
     """
-    where: str | Path
     if isinstance(path, str | Path) and is_bag(path):
-        decoded, where = Decoded(*read_frame(str(path), topic)), path
-    elif isinstance(path, str | Path):
-        data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
-        decoder, name = recognise(data, path)
-        try:
-            with at_fault(path, always=True):
-                decoded = decoder(data)
-        except DAMAGE as error:
-            told = next((part for part in error.args if isinstance(part, str)), "")
-            reason = " ".join(told.split())[:120] or type(error).__name__
-            raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
-        where = path
-    else:
-        decoded, where = Decoded(_array(path)), "the array"
+        return image_of(Decoded(*read_frame(str(path), topic)), path, camera, depth_scale, may_be_empty)
+    if isinstance(path, str | Path):
+        return image_of(decoded_file(path), path, camera, depth_scale, may_be_empty)
+    return image_of(Decoded(_array(path)), "the array", camera, depth_scale, may_be_empty)
+
+
+def decoded_file(path: str | Path) -> Decoded:
+    """Return the array of a file that is recognised by its first bytes, with what is beside it."""
+    data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
+    decoder, name = recognise(data, path)
+    try:
+        with at_fault(path, always=True):
+            return decoder(data)
+    except DAMAGE as error:
+        told = next((part for part in error.args if isinstance(part, str)), "")
+        reason = " ".join(told.split())[:120] or type(error).__name__
+        raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
+
+
+def image_of(
+    decoded: Decoded, where: str | Path, camera: Any, depth_scale: float | None, may_be_empty: bool
+) -> DepthImage:
+    """Return what was decoded as an image in metres, checked; where : what is at fault. Otherwise as `read_depth`."""
     array = _two_dimensional(decoded.array, where)
     found, guessed = _camera(where, camera, decoded.camera, array.shape)
     if found.shape != array.shape:

@@ -141,7 +141,7 @@ def _depth_channel(channels: dict[str, np.ndarray]) -> np.ndarray:
 
 
 SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
-MOST_BYTES = 2**30
+MOST_BYTES = 4_000_000_000  # of an image, or of a film in one file
 LEVEL = 4  # of compression: half the time of the usual 6 for files a sixth larger
 RAW = "give the raw depth image: one channel of 16-bit units or float metres, no picture to look at"
 STRETCHED, FEW_STEPS = 257, 8  # 8 bits become 16 by it; different depths that an image has at least
@@ -156,12 +156,14 @@ class Decoded(NamedTuple):
     """What a format's decoder found: the raw array and, in an .npz, camera and meta.
 
     turn : degrees clockwise by which the file says that it is to be turned, with its camera.
+    timing : what it says of time and gravity.
     """
 
     array: np.ndarray
     camera: object = None
     meta: dict[str, Any] = {}
     turn: int = 0
+    timing: dict[str, Any] = {}
 
 
 def recognise(data: bytes, path: str | Path) -> tuple[Callable[[bytes], Decoded], str]:
@@ -218,30 +220,36 @@ def encode_npz(depth: np.ndarray, camera: Camera, meta: dict[str, Any], label: n
 
 
 PINHOLE = ("fx", "fy", "cx", "cy")
+MATRICES, TIMING = ("K", "intrinsics"), ("fps", "gravity", "times", "timestamps")
+BESIDE = ("camera", "meta", "depth_scale", *PINHOLE, *MATRICES, *TIMING)  # an .npz may hold besides
 
 
 def decode_npz(data: bytes) -> Decoded:
-    """Decode an .npz as derender writes it, or of others with one array, or `depth` and `K` or fx, fy, cx, cy."""
+    """Decode an .npz as derender writes it, or of others: `depth`, or the only array that is called like it, or that
+    is none of BESIDE, and `K` or fx, fy, cx, cy."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         sizes = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         if sum(info.file_size for info in sizes.values()) > MOST_BYTES:
             raise DerenderError("too large for a depth image")
-        name = "depth" if "depth" in sizes else next(iter(sizes)) if len(sizes) == 1 else None
-        if name is None:
+        others = [key for key in sizes if key not in BESIDE]
+        named = [key for key in others if "depth" in key.lower()]
+        found = ["depth"] if "depth" in sizes else named if len(named) == 1 else others
+        if len(found) != 1:
             kinds = ", ".join(list(sizes)[:6])
             raise DerenderError(f"no array `depth` among {kinds}", remedy="give an .npz as derender writes it")
-        array = _load_npy(archive.read(sizes[name]))
-        texts = {key: _load_npy(archive.read(sizes[key])) for key in ("camera", "meta") if key in sizes}
-        pinhole = {key: _load_npy(archive.read(sizes[key])) for key in PINHOLE if key in sizes}
-        matrix = next((_load_npy(archive.read(sizes[k])) for k in ("K", "intrinsics") if k in sizes), None)
-    trees = {key: parse_json(str(text.item()), key) for key, text in texts.items()}
+        array = _load_npy(archive.read(sizes[found[0]]))
+        beside = {key: _load_npy(archive.read(sizes[key])) for key in BESIDE if key in sizes}
+    trees = {key: parse_json(str(text.item()), key) for key, text in beside.items() if text.dtype.kind == "U"}
+    numbers = {
+        key: each.item() if each.size == 1 else each.tolist() for key, each in beside.items() if key not in trees
+    }
     camera = trees.get("camera")
-    if camera is None and matrix is not None:
-        camera = {"K": matrix.ravel().tolist()}
-    if camera is None and len(pinhole) == len(PINHOLE):
-        camera = {key: each.item() if each.size == 1 else each.tolist() for key, each in pinhole.items()}
-    meta = trees.get("meta")
-    return Decoded(array, camera, meta if isinstance(meta, dict) else {})
+    if camera is None and (matrix := next((beside[key] for key in MATRICES if key in beside), None)) is not None:
+        numbers["K"] = (matrix[0] if matrix.ndim == 3 else matrix).ravel().tolist()  # of a film one for each frame
+    if camera is None and ("K" in numbers or set(PINHOLE) <= numbers.keys()):
+        camera = {key: numbers[key] for key in ("K", *PINHOLE) if key in numbers}
+    meta, timing = trees.get("meta"), {key: numbers[key] for key in TIMING if key in numbers}
+    return Decoded(array, camera, meta if isinstance(meta, dict) else {}, timing=timing)
 
 
 def _decode_picture(data: bytes) -> Decoded:

@@ -214,7 +214,7 @@ def command(talk: Talk, **arguments: Any) -> int | None:
     A recording of ROS, ROS 2 or the RealSense viewer (.bag, .mcap, .db3 or the folder; pip install 'derender[ros]') has
     many frames, with their camera; recording.bag@12 is one of them.
 
-    With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz with depth (T, H, W). The camera
+    With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz or .npy (T, H, W). The camera
     file may say `fps` and `gravity` (m/s^2, camera axes). Writes DIR/track.npz, DIR/track.json, DIR/events.jsonl and
     DIR/report.html with a time line. With --dynamics also DIR/dynamics.npz, draws of friction, restitution, mass ratios
     and velocities (chain, draw), and in track.json, under `parameters`, those that the motion tells, and under `ahead`

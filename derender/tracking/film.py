@@ -1,6 +1,5 @@
 """A film: depth images of one camera in the order of time, with its frame rate and gravity."""
 
-import io
 import json
 import re
 from collections.abc import Sequence
@@ -10,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.camera_file import camera_beside, camera_from_tree, read_camera
-from derender.camera.depth_file import read_depth
-from derender.camera.image_files import read_bytes
+from derender.camera.camera_file import camera_beside
+from derender.camera.depth_file import DepthImage, decoded_file, image_of, read_depth
+from derender.camera.image_files import MOST_BYTES, read_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 
@@ -20,7 +19,7 @@ SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a f
 FPS = 30.0  # assumed where nobody says
 MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
-MOST_BYTES = 4_000_000_000  # of a film in one file
+WHOLE, MOST_CHANNELS = (".npz", ".npy"), 4  # files that may hold a whole film; an array of more is no colour image
 
 
 class Timing(NamedTuple):
@@ -126,7 +125,7 @@ def checked_times(times: np.ndarray, where: Any) -> np.ndarray:
 
 
 def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
-    """Read the frames of folders, globs, files, or of one .npz with depth (T, H, W).
+    """Read the frames of folders, globs, files, or of one .npz or .npy with depth (T, H, W).
 
     sources : paths. camera : a camera file; default camera.json beside the frames. depth_scale : millimetres a unit.
     fps : frames a second; goes before what the camera file says.
@@ -141,21 +140,21 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
         )
     camera = camera_of(sources, camera)
     timing = read_timing(camera)
-    if len(files) == 1 and files[0].suffix.lower() == ".npz" and (whole := _whole_film(files[0], camera)) is not None:
-        frames, names, seen_camera, guessed, inside = whole
+    one = len(files) == 1 and files[0].suffix.lower() in WHOLE
+    if one and (whole := _whole_film(files[0], camera, depth_scale)) is not None:
+        seen, inside = whole
+        names = [f"{files[0].stem}[{t}]" for t in range(len(seen))]
         timing = Timing(
             timing.fps or inside.fps,
             inside.gravity if timing.gravity is None else timing.gravity,
             inside.times if timing.times is None else timing.times,
         )
     else:
-        frames, names, seen_camera, guessed = [], [], None, True
+        seen, names = [], [path.name for path in files]
         for path in files:
-            seen = read_depth(path, camera, depth_scale, may_be_empty=True)
-            check_size(seen.depth, frames[0] if frames else seen.depth, path)
-            seen_camera, guessed = seen_camera or seen.camera, guessed and seen.camera_is_guess
-            frames.append(seen.depth)
-            names.append(path.name)
+            seen.append(read_depth(path, camera, depth_scale, may_be_empty=True))
+            check_size(seen[-1].depth, seen[0].depth, path)
+    frames = [each.depth for each in seen]
     shows = [bool(np.any(np.isfinite(frame) & (frame > 0))) for frame in frames]
     if not any(shows):
         raise DerenderError("no frame has a pixel with a depth", where, "give images that show something")
@@ -167,7 +166,8 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
         raise DerenderError(what, camera or where, "give one time for each frame")
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
     times = timing.times if timing.times is not None and fps is None else np.arange(len(frames)) / (rate or FPS)
-    return Film(names, frames, seen_camera, guessed, times, timing.gravity, rate is None and timing.times is None)
+    guessed = rate is None and timing.times is None
+    return Film(names, frames, seen[0].camera, seen[0].camera_is_guess, times, timing.gravity, guessed)
 
 
 def check_size(frame: np.ndarray, first: np.ndarray, path: Path) -> None:
@@ -178,30 +178,14 @@ def check_size(frame: np.ndarray, first: np.ndarray, path: Path) -> None:
         raise DerenderError(what, path, "the frames of a film are of one size")
 
 
-def _whole_film(path: Path, camera):
-    """Return (frames, names, camera, whether it is a guess, Timing) of an .npz with depth (T, H, W), or None."""
-    data = read_bytes(path, MOST_BYTES, "the film", "check the path")
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, KeyError):
-        return None  # read_depth says what is wrong with it
-    depth = arrays.get("depth")
-    if depth is None or depth.ndim != 3:
+def _whole_film(path: Path, camera: Any, depth_scale: float | None) -> tuple[list[DepthImage], Timing] | None:
+    """Return the frames and times of an .npz or .npy with depth (T, H, W), or None where it holds one image."""
+    whole = decoded_file(path)
+    if whole.array.ndim < 3 or whole.array.ndim == 3 and whole.array.shape[2] <= MOST_CHANNELS:
         return None
-    if len(depth) == 0 or depth.dtype.kind not in "fiu":
-        raise DerenderError("the film is empty: there is no frame", path, "give an .npz with depth (T, H, W) in metres")
-    depth = depth.astype(float) * (1e-3 if depth.dtype.kind in "iu" else 1.0)
-    depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan)
-    shape, tree = depth.shape[1:], None
-    if "camera" in arrays:
-        tree = json.loads(str(arrays["camera"].item()))
-    elif "K" in arrays:
-        tree = {"K": arrays["K"].ravel().tolist()}
-    found, guessed = Camera.from_field_of_view(shape[1], shape[0]), camera is None and tree is None
-    if camera is not None:
-        found = read_camera(camera, shape)
-    elif tree is not None:
-        found = camera_from_tree(tree, shape)
-    told = {**(tree or {}), **{key: arrays[key].tolist() for key in ("fps", "gravity", "times") if key in arrays}}
-    return list(depth), [f"{path.stem}[{t}]" for t in range(len(depth))], found, guessed, timing_of(told, path)
+    frames: list[DepthImage] = []
+    for t, array in enumerate(whole.array):
+        known = frames[0].camera if frames else camera
+        frames.append(image_of(whole._replace(array=array), f"{path}[{t}]", known, depth_scale, may_be_empty=True))
+    tree = whole.camera if isinstance(whole.camera, dict) else {}
+    return frames, timing_of({**tree, **whole.timing}, path)

@@ -78,8 +78,9 @@ def track_to_folder(
 ) -> Outcome:
     """Follow the things of a film and write track.npz, track.json, events.jsonl and report.html.
 
-    sources : folders, patterns, files, or one .npz with depth (T, H, W). options : of the first frame's inference.
-    output : folder; None: the first source's name with _tracked. camera, depth_scale : as of one image.
+    sources : folders, patterns, files, or one .npz or .npy with depth (T, H, W).
+    options : of the first frame's inference. camera, depth_scale : as of one image.
+    output : folder; None: the first source's name with _tracked.
     fps : frames a second. moving_camera : whether the camera may move.
     watch : go on with frames as they come into the folder, until none has come for ten seconds.
     tell : called with each event as a line of JSON, while watching as soon as it is known.

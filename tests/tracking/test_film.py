@@ -41,6 +41,42 @@ def test_one_file_holds_a_whole_film(tmp_path):
     assert len(film.frames) == 5 and film.times[-1] == pytest.approx(0.4) and film.camera.fx == 80
 
 
+METRES = np.linspace(0.6, 0.9, 5 * 48 * 64, dtype=np.float32).reshape(5, 48, 64)
+FORMS = {
+    "half millimetres": ({"depth": (1000 * METRES).astype(np.float16)}, 1.0),
+    "whole millimetres": ({"depth": (1000 * METRES).astype(np.uint16)}, None),
+    "ten to a millimetre": ({"depth": (10000 * METRES).astype(np.uint16)}, 0.1),
+    "a channel": ({"depth": METRES[..., None]}, None),
+    "a channel first": ({"depth": METRES[:, None]}, None),
+    "another name": ({"depths": METRES, "rgb": np.zeros((5, 48, 64, 3), np.uint8)}, None),
+    "no name": ({"arr_0": METRES}, None),
+    "a matrix for each": ({"frames": METRES, "K": np.tile([[80, 0, 31.5], [0, 80, 23.5], [0, 0, 1]], (5, 1, 1))}, None),
+    "timestamps": ({"depth": METRES, "timestamps": 0.1 * np.arange(5)}, None),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_whole_film_is_read_as_images_are(tmp_path, form):
+    arrays, scale = FORMS[form]
+    np.savez(tmp_path / "film.npz", **arrays)
+    film = read_film([tmp_path / "film.npz"], depth_scale=scale)
+    assert np.allclose(film.frames, METRES, atol=1e-3)
+    assert film.camera_is_guess == ("K" not in arrays) and film.fps_is_guess == ("timestamps" not in arrays)
+
+
+def test_an_array_of_images_is_a_film(tmp_path):
+    np.save(tmp_path / "film.npy", METRES)
+    (tmp_path / "camera.json").write_text(json.dumps({**CAMERA, "fps": 10}))
+    film = read_film([tmp_path / "film.npy"])
+    assert np.allclose(film.frames, METRES) and film.camera.fx == 80 and film.times[1] == pytest.approx(0.1)
+
+
+def test_a_whole_film_in_millimetres_without_a_unit_is_a_fault(tmp_path):
+    np.savez(tmp_path / "film.npz", depth=1000 * METRES)
+    with pytest.raises(DerenderError, match="set --depth-scale"):
+        read_film([tmp_path / "film.npz"])
+
+
 def test_times_of_the_camera_file_are_the_times(tmp_path):
     assert np.allclose(read_film([write(tmp_path / "f", times=[0, 0.1, 0.3])]).times, [0, 0.1, 0.3])
 
