@@ -246,9 +246,8 @@ def infer_image(
     """
     enlargement = enlargement_of(seen.depth)
     if enlargement is not None:
-        small, camera = enlargement.reduced(seen.depth), enlargement.camera(seen.camera)
-        warn(f"pixels repeat: taken as the {camera.width} x {camera.height} of which the image was made")
-        own = seen._replace(depth=small, camera=camera)
+        warn(enlargement.told())
+        own = seen._replace(depth=enlargement.reduced(seen.depth), camera=enlargement.camera(seen.camera))
         posterior, likelihood = infer_image(own, document, options, progress, warn, command)
         fixed = {**likelihood.values, **in_its_pixels(likelihood.fixed, enlargement)}
         return as_enlarged(posterior, seen.camera, enlargement), replace(likelihood, values=fixed)

@@ -40,6 +40,10 @@ class Enlargement(NamedTuple):
         """The image's size to the smaller one's, along a row and a column in the mean."""
         return float(np.sqrt(self.rows.ratio * self.columns.ratio))
 
+    def told(self) -> str:
+        """Return a line for a person."""
+        return f"pixels repeat: taken as the {len(self.columns.kept)} x {len(self.rows.kept)} that were enlarged"
+
     def reduced(self, depth: np.ndarray) -> np.ndarray:
         """Return the smaller image (h, w) of an image (H, W)."""
         return np.ascontiguousarray(depth[self.rows.kept[:, None], self.columns.kept])

@@ -12,6 +12,7 @@ import numpy as np
 from derender.atomic import ROOM, make_folder
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
+from derender.camera.repeats import enlargement_of
 from derender.errors import DerenderError
 from derender.structures.options import Options
 from derender.tracking.film import (
@@ -90,6 +91,11 @@ def track_to_folder(
     started = time.monotonic()
     coming = watched(sources, camera, depth_scale)
     film = first_of(coming, sources, camera, fps) if watch else read_film(sources, camera, depth_scale, fps)
+    as_it_came, enlargement = film.frames[0], enlargement_of(film.frames[0])
+    if enlargement is not None:
+        film = film._replace(frames=[enlargement.reduced(frame) for frame in film.frames],
+                             camera=enlargement.camera(film.camera))  # fmt: skip
+        warn(enlargement.told())
     if film.camera_is_guess:
         warn(f"no camera is given: taking {film.camera.field_of_view:.0f} degrees horizontal field of view")
     if film.fps_is_guess:
@@ -103,10 +109,11 @@ def track_to_folder(
         recorder = Recorder(film.frames[0], film.camera, start, film.gravity, step_of(film), moving_camera,
                             lambda depth: inferrer(options, film.camera)(depth, True))  # fmt: skip
         for path, seen in coming:
-            check_size(seen.depth, film.frames[0], path)
-            if not recorder.advance(seen.depth):
+            check_size(seen.depth, as_it_came, path)
+            depth = seen.depth if enlargement is None else enlargement.reduced(seen.depth)
+            if not recorder.advance(depth):
                 break
-            frames.append(seen.depth)
+            frames.append(depth)
             names.append(f"frame {len(names)}")
             told = tell_events(recorder.track(times_of(film, len(frames))), told, tell, LAG)
         track = recorder.track(times_of(film, len(frames)), names)

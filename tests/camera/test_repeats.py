@@ -10,6 +10,8 @@ import derender
 from derender.camera.intrinsics import Camera
 from derender.camera.repeats import enlargement_of
 from derender.cli.infer import command
+from derender.structures.options import Options
+from derender.tracking.run import track_to_folder
 
 CAMERA = Camera(fx=140.0, fy=150.0, cx=81.5, cy=58.0, width=160, height=120)
 
@@ -79,7 +81,7 @@ def test_enlarged_image_is_told_as_the_one_it_was_made_of(tmp_path):
         width=small.shape[1], height=small.shape[0],
     )  # fmt: skip
     told = derender.infer(small, camera=half, quick=True, seed=4)
-    with pytest.warns(UserWarning, match=f"taken as the {half.width} x {half.height} of which the image was made"):
+    with pytest.warns(UserWarning, match=f"taken as the {half.width} x {half.height} that were enlarged"):
         same = derender.infer(large, camera=camera, quick=True, seed=4)
     scenes = [posterior.best.to_yaml() for posterior in (same, told)]
     objects = [text[text.index("root:") : text.index("likelihood:")] for text in scenes]
@@ -93,3 +95,20 @@ def test_enlarged_image_is_told_as_the_one_it_was_made_of(tmp_path):
     assert np.load(tmp_path / "out" / "explained.npy").shape == large.shape
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["camera"]["width"] == camera.width
+
+
+def test_enlarged_film_is_followed_in_the_frames_it_was_made_of(tmp_path):
+    image, rng = derender.sample(seed=3).render(), np.random.default_rng(9)
+    camera = image.camera
+    half = Camera(
+        fx=camera.fx / 2, fy=camera.fy / 2, cx=(camera.cx - 0.5) / 2, cy=(camera.cy - 0.5) / 2,
+        width=camera.width // 2, height=camera.height // 2,
+    )  # fmt: skip
+    small = image.depth[None, ::2, ::2] + 0.001 * rng.standard_normal((3, half.height, half.width))
+    tracks, said = [], []
+    for name, frames, seen_by in (("small", small, half), ("large", small.repeat(2, axis=1).repeat(2, axis=2), camera)):
+        np.savez(tmp_path / f"{name}.npz", depth=frames, camera=json.dumps(seen_by.to_dict()), fps=20.0)
+        found = track_to_folder([tmp_path / f"{name}.npz"], Options(seed=1), str(tmp_path / name), warn=said.append)
+        tracks.append(found.track)
+    assert [line for line in said if line.endswith(f"{half.width} x {half.height} that were enlarged")]
+    np.testing.assert_array_equal(tracks[0].poses, tracks[1].poses)
