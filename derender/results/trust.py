@@ -47,7 +47,7 @@ MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely 
 # to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
 MOST_WRONG, FEW = 0.4, 0.05
 FITS = 4.0  # standard deviations by which noise alone hardly ever leaves an image less likely than others of its scene
-OFF = 0.1  # of an object's length: by less a real sensor tells its place, and what there is (an IoU of .8)
+OFF = 0.1  # of an object's extent: by less a real sensor tells its place, and what there is (an IoU of .8)
 
 
 class Doubt(NamedTuple):
@@ -166,8 +166,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         words += "" if np.isinf(most) else f", which leave {float(f'{1000 * most:.1g}'):g} mm open"
         names = {row["address"].partition(".")[0] for row in worst if left_open(posterior, row) >= faces}
         own = names if np.isfinite(most) or not worst else None  # else of the root or the likelihood
-        far = any(left_open(posterior, row) > (OFF * size_of(posterior, row).max() if faces else 0.0)
-                  for row in worst)  # fmt: skip
+        far = any(left_open(posterior, row) > (OFF * extent_of(posterior, row) if faces else 0.0) for row in worst)
         told.append(Doubt(f"{words}; --draws {needed} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
 
@@ -184,6 +183,13 @@ def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
     factor = moves.get(row["unit"] or row["address"].rpartition(".")[2])
     independent = max(row["ess_bulk"], 1.0) if np.isfinite(row["ess_bulk"]) else 1.0
     return np.inf if not wide or factor is None else float(row["draws"].std() / np.sqrt(independent) * factor)
+
+
+def extent_of(posterior: "Posterior", row: Mapping[str, Any]) -> float:
+    """Return the metres that what is left open of a number is held against: a size itself, of which a box's width may
+    be a third of its length; of where an object is, and how it is turned, its longest side."""
+    size = row["unit"] == "mm" and ".contact." not in row["address"]
+    return float(np.median(row["draws"]) if size else size_of(posterior, row).max())
 
 
 def size_of(posterior: "Posterior", row: Mapping[str, Any]) -> np.ndarray:

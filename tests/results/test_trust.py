@@ -88,7 +88,7 @@ def test_an_answer_is_doubted_in_which_much_is_expected_to_be_wrong(count, known
 )
 def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address, spread):
     values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
-    rows = parameter_rows([address], spread * values / values.std())
+    rows = parameter_rows([address], 0.1 + spread * values / values.std())
     assert doubtful(rows[0])
     (note,) = chain_doubts(seen_by_a_sensor(0.003), rows)
     assert not note.serious and not note.about
@@ -99,6 +99,15 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
     assert doubt.about == {"box_1"} and not doubt.serious  # what there is, and where, they tell
     (doubt,) = chain_doubts(seen_by_a_sensor(0.0), rows)  # of an image that a model drew
     assert doubt.about == {"box_1"} and doubt.serious
+
+
+@pytest.mark.parametrize("length, serious", [(0.2, False), (0.09, True)])
+def test_a_size_that_chains_leave_open_by_a_tenth_of_itself_is_not_trusted(length, serious):
+    """Of a box 19 cm deep 15 mm of 9 cm were left open, for its other end was missed, and it was trusted."""
+    values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
+    (row,) = parameter_rows(["box_1.length"], length + 0.027 * values / values.std())
+    (doubt,) = chain_doubts(seen_by_a_sensor(0.003), [row])
+    assert doubt.serious == serious and doubt.about == {"box_1"}
 
 
 @pytest.mark.parametrize(("apart", "serious"), [(0.15, False), (2.0, True)])
