@@ -227,10 +227,10 @@ def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
 
 def reached_down(best: Refined, i: int) -> list[State]:
     """Return the state in which a tilted box whose lower end may hide stands on the floor with it, as thick as it is;
-    none where it does so already, or where what it rests on high above the floor holds it."""
+    none where it does so already. What it rests on may hold what shows of it, too: the image and the forces tell."""
     state, row = best.state, best.state.rows[i]
     low, on_floor = lowest(row), state.parents[i] == FLOOR
-    if int(row[0]) != BOX or state.forms[i] != FREE or (on_floor if low < REACH else is_held(state, i)):
+    if int(row[0]) != BOX or state.forms[i] != FREE or (on_floor and low < REACH):
         return []
     up = rotation_of(row)[2]
     steep = np.where(np.arange(3) == np.argmin(row[13:16]), 0.0, np.abs(up))

@@ -13,10 +13,11 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import standing_on
 from derender.scene.distributions import distributions
+from derender.scene.pose import rotation_y
 from derender.scene.priors.bare_image import Loose
 from derender.scene.solids import BOX
 from derender.structures.bridges import by_bearer
-from derender.structures.changes import reached_down, tipping_of
+from derender.structures.changes import is_held, reached_down, tipping_of
 from derender.structures.draws.chart import make_chart
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
@@ -81,6 +82,19 @@ def test_a_board_on_a_block_may_stand_on_the_floor_as_well():
     assert found.parents[1] == FLOOR and lowest(found.rows[1]) == pytest.approx(0.0, abs=1e-6)
     chart = SimpleNamespace(tipping=4.6)  # nor does the floor hold the one on the block, which would slip off it
     assert [tipping_of(SimpleNamespace(state=state, chart=chart)) for state in (hung, found)] == [4.6, 0.0]
+
+
+def test_what_shows_of_a_board_behind_a_block_may_stand_on_the_floor_though_the_block_could_hold_it():
+    """Of boards 9200 a strip 18 mm high showed over the block: said to lie on its edge, 199 nats below the truth."""
+    turn = rotation_y(-np.radians(60.0))[:3, :3]
+    top, strip = [0.0, 0.0, BLOCK[2]], np.array([0.018, 0.07, 0.012])
+    state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.5 * BLOCK[2]], BLOCK), UPRIGHT, False, FLOOR, 0.0)
+    centre = top + np.array([-0.03, 0.0, 0.5 * (strip * np.abs(turn[2])).sum() - 0.001])
+    state = state.add(make_row(BOX, turn, centre, strip), FREE, False, 0, np.nan)
+    assert is_held(state, 1)
+    (found,) = reached_down(SimpleNamespace(state=state), 1)
+    assert found.parents[1] == FLOOR and lowest(found.rows[1]) == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(found.rows[1, 14:16], strip[1:])
 
 
 def test_a_board_whose_foot_hides_is_not_surely_on_the_block():
