@@ -17,7 +17,7 @@ from derender.detection.solids.support import final_parents, with_bottom
 from derender.render.likelihoods.pixelwise import noise_at
 from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import DOUBTFUL, QUICK, climbed, tried, weighed_whole
-from derender.structures.changes import LEAST_TALL
+from derender.structures.changes import LEAST_TALL, reached_down
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, floor_pose_of
 from derender.structures.weighing import Block, Weighed, of_block
@@ -44,15 +44,21 @@ def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
 def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
     """Return the Weighed of an upright box being one with a smaller one beside it, or, but where neighbouring pixels
     share noise, with whatever is there; or with what a gap parts from it of which the image shows as good as
-    nothing."""
+    nothing; and of a tilted box going on to the floor through a smaller one, which shows of its foot."""
     state, tasks = best.state, []
-    boxes = [k for k in range(len(state)) if int(state.rows[k][0]) == BOX and state.forms[k] == UPRIGHT]
+    boxes = [k for k in range(len(state)) if int(state.rows[k][0]) == BOX]
+    upright = [k for k in boxes if state.forms[k] == UPRIGHT]
     for i in boxes:
-        for j in range(len(state)) if best.sensor.worth >= 1.0 else boxes:
+        for j in range(len(state)) if best.sensor.worth >= 1.0 else upright:
             if i == j or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
                 continue
-            if touching(state, i, j) or parted_unseen(best, i, j, rules):
-                tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
+            if i not in upright:
+                ones = [longer.without(j) for longer in reached_down(best, i) if touching(longer, i, j)]
+            elif touching(state, i, j) or parted_unseen(best, i, j, rules):
+                ones = [as_one(state, i, j)]
+            else:
+                ones = []
+            tasks += [partial(merged, best=best, state=one, i=i, j=j, rules=rules) for one in ones]
     return [found for found in in_threads(rng, tasks) if found is not None]
 
 
@@ -77,10 +83,10 @@ def as_one(state: State, i: int, j: int) -> State:
     return new.without(j)
 
 
-def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
-    """Return the Weighed of solid `j` being part of `i`; None where that is pruned."""
+def merged(rng: np.random.Generator, best: Refined, state: State, i: int, j: int, rules: Rules) -> Weighed | None:
+    """Return the Weighed of a state in which solid `j` is part of `i`; None where that is pruned."""
     place = i - (j < i)
-    trial = tried(rng, best, as_one(best.state, i, j), [place], rules)
+    trial = tried(rng, best, state, [place], rules)
     return None if trial is None else of_block(rng, Block(trial, [place]), Block(best, [i, j]))
 
 

@@ -27,6 +27,7 @@ from derender.structures.changes import changes, still_bears
 from derender.structures.draws.chart import HELD, make_chart
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.unions import merges
 from worlds.made_scenes import drawn_scene
 
 RULES = Rules(0.0015)
@@ -106,6 +107,22 @@ def test_one_solid_of_what_the_search_met_is_tried_in_the_best():
     assert found.trial.state.forms == [UPRIGHT, FREE]
     assert found.trial.state.rows[0, 14] > 0.14
     assert met_one_by_one(np.random.default_rng(2), best, [best.state], RULES) == []
+
+
+def test_a_board_behind_a_block_and_what_shows_of_its_foot_are_one():
+    """Of boards 9202 some 40 pixels of the foot were a box of its own, on which the rest leant."""
+    block, (long, wide, thick), tilt = solid(BOX, 0.0, 0.0, [0.1, 0.08, 0.07], 0.0), (0.17, 0.1, 0.012), 0.9
+    along, normal = np.array([0.0, -np.cos(tilt), np.sin(tilt)]), np.array([0.0, np.sin(tilt), np.cos(tilt)])
+    foot, turn = np.array([0.06, 0.04 + 0.07 / np.tan(tilt), 0.0]), np.column_stack([along, [1.0, 0.0, 0.0], normal])
+    whole = make_row(BOX, turn, foot + 0.5 * (long * along + thick * normal), np.array([long, wide, thick]))
+    upper = make_row(BOX, turn, whole[10:13] + 0.04 * along, np.array([long - 0.08, wide, thick]))
+    shown = on_the_floor((block, False)).add(whole, FREE, False)
+    piece = solid(BOX, 0.08, foot[1], [0.06, 0.03, 0.03], 0.0)
+    believed = on_the_floor((block, False), (piece, False)).add(upper, FREE, False, 0)
+    best = weighed(np.random.default_rng(4), shown, believed)
+    found = max(merges(np.random.default_rng(4), best, RULES), key=lambda each: each.odds)
+    assert found.odds > 50.0 and found.places == ((1,), (2, 1))
+    assert found.trial.state.rows[1, 13:16] == pytest.approx([long, wide, thick], abs=0.004)
 
 
 def test_what_shows_nowhere_is_weighed_nowhere():

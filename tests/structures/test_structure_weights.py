@@ -27,7 +27,7 @@ from derender.structures.draws.chart import ROW, log_prior, make_chart, place_ro
 from derender.structures.draws.metropolis import log_evidence, sample
 from derender.structures.draws.refined import at_mode, near_evidence
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.unions import merged
+from derender.structures.unions import as_one, merged
 from derender.structures.weighing import NEAR_ERROR, evidence_over
 
 RULES = Rules(0.0015)
@@ -172,7 +172,7 @@ def test_the_whole_has_of_each_solid_what_its_integral_has_more_than_a_normal():
 
 def test_two_boxes_are_one_by_the_integrals_over_both():
     best = mode_of(0.006, (-0.03, 0.0, (0.06, 0.06, 0.06), True), (0.03, 0.0, (0.06, 0.06, 0.06), True))
-    union = merged(np.random.default_rng(7), best, 0, 1, RULES)
+    union = merged(np.random.default_rng(7), best, as_one(best.state, 0, 1), 0, 1, RULES)
     assert len(union.trial.state) == 1
     assert abs(union.odds - whole_odds(union.trial, best)) < WITHIN
 

@@ -50,7 +50,7 @@ from derender.structures.draws.sensor import model_depth
 from derender.structures.draws.steps import touched_by
 from derender.structures.graph_posterior import leading
 from derender.structures.infer import infer_structure
-from derender.structures.unions import merged, put_on
+from derender.structures.unions import as_one, merged, put_on
 from derender.structures.weighing import (
     NEAR_ERROR,
     Block,
@@ -192,7 +192,7 @@ def test_two_boxes_as_one_are_as_importance_sampling_has_it(state, noise):
     rng = np.random.default_rng(4)
     sensor, chart, values = observe(rng, state, {"sigma": noise, "blur": 0.5}, camera(48, 36))
     best = with_own_sensor(rng, at_mode(rng, state, floor_pose(), sensor._replace(prior=PRIOR), RULES), [0, 1], -1e9)
-    weighed = merged(rng, best, 1, 0, RULES)
+    weighed = merged(rng, best, as_one(best.state, 1, 0), 1, 0, RULES)
     log, error = reference(rng, weighed.trial, members_of(weighed.trial.chart, [0]), *WELL)
     own, own_error = reference(rng, best, members_of(best.chart, [0, 1]), *WELL)
     (sure,) = made_sure(rng, best, [weighed._replace(odds=0.0)], lambda rng: best.values[None], RULES)
