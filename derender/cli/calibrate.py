@@ -4,6 +4,7 @@ import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.errors import DerenderError
 
 
 @click.command()
@@ -31,9 +32,18 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
     from derender.camera.depth_file import read_depth
     from derender.detection.calibration import fit_sensor, residuals, sensor_text
 
-    pairs, seen = [], None
+    pairs, first = [], None
     for name in talk.counted(frames, len(frames), "reading"):
         seen = read_depth(name, camera, depth_scale)
+        if first is None:
+            first = seen.camera
+            if seen.camera_is_guess:
+                talk.warn(f"--camera is not given: taking {first.field_of_view:.0f} degrees horizontal field of view")
+        elif seen.camera.shape != first.shape:
+            told = (
+                f"it is {seen.camera.width} x {seen.camera.height} pixels, {frames[0]} {first.width} x {first.height}"
+            )
+            raise DerenderError(told, name, "calibrate each camera by itself")
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
         pairs.append(residuals(depth, seen.camera, name))
     with talk.bar() as bar:
@@ -41,8 +51,8 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
     before, after = fit.correlation
     talk.say(f"{fit.pixels} pixels of table: neighbours correlate at {before:.2f}, whitened at {after:+.2f} at most; "
              f"99 % of whitened residuals are within {fit.beyond:.2f} times the normal's limit")  # fmt: skip
-    assert seen is not None
-    text = sensor_text(fit, seen.camera, len(frames))
+    assert first is not None
+    text = sensor_text(fit, first, len(frames))
     if output == "-":
         click.echo(text, nl=False)
     else:

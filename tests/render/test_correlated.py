@@ -289,6 +289,18 @@ def test_each_sensor_draws_tables_and_calibrate_reads_them(path, tmp_path):
         assert read_document(tmp_path / "mine.yaml").likelihood.type == "correlated"
 
 
+def test_calibrate_tells_of_a_camera_that_nobody_gave_and_refuses_another(tmp_path):
+    """A field of view of 60 degrees was taken in silence, and frames of two sizes for those of one camera."""
+    rng, paths = np.random.default_rng(0), [str(tmp_path / f"{name}.npy") for name in "ab"]
+    for path, shape in zip(paths, ((48, 64), (24, 32)), strict=True):
+        np.save(path, 1.0 + 0.002 * rng.normal(size=shape))
+    done = CliRunner().invoke(group, ["calibrate", *paths])
+    assert "--camera is not given: taking 60 degrees" in done.output
+    assert (
+        str(done.exception) == f"{paths[1]}: it is 32 x 24 pixels, {paths[0]} 64 x 48; calibrate each camera by itself"
+    )
+
+
 def test_what_calibrate_writes_is_a_prior_of_the_fit():
     camera = read_document(SENSORS[0]).camera
     held = ("sigma", "sigma_growth", "step", "step_growth", "white", "reach", "reach_down", "tail")
