@@ -96,7 +96,11 @@ IDLE = (
 )
 @click.option("--confidence", metavar="FILE", help="Map of how sure the sensor is of each pixel, or a folder of maps.")
 @click.option(
-    "--least-confidence", type=options.Finite(), default=1.0, help="Pixels that are less sure count as missing."
+    "--least-confidence",
+    metavar="N",
+    type=options.Finite(),
+    default=1.0,
+    help="Pixels that are less sure count as missing.",
 )
 @click.option(
     "--up", metavar="X,Y,Z", help="Upwards in camera axes, or an axis such as -y; default: the camera file's."

@@ -157,6 +157,9 @@ class Finite(click.FloatRange):
             self.fail(f"{value} is no finite number", param, ctx)
         return found
 
+    def _describe_range(self) -> str:
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
 
 class Duration(click.ParamType):
     """A time such as 30s, 2min or 1.5h; a plain number counts seconds."""

@@ -83,6 +83,13 @@ def test_help_lists_every_command(capsys):
     assert run("-h") == 0
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_tells_no_value_of_pythons(name, capsys):
+    """Where a number may be any, help said x<=None."""
+    assert run(name, "--help") == 0
+    assert "None" not in capsys.readouterr().out
+
+
 def test_version(capsys):
     assert run("--version") == 0
     assert __version__ in capsys.readouterr().out
