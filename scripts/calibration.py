@@ -23,15 +23,15 @@ from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 
-from arguments import at_least_one, pixels, read_records, target
-
 from derender.cli import status_of
 from derender.document import read_prior_document  # noqa: E402
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
 import numpy as np  # noqa: E402
+from arguments import at_least_one, pixels, read_records, target  # noqa: E402
 
 from derender.report.scene_json import scene_json  # noqa: E402
 from worlds.made_scenes import drawn_scene  # noqa: E402

@@ -16,11 +16,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from arguments import at_least_one
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
+from arguments import at_least_one  # noqa: E402
 from evaluate import ENOUGH_PIXELS, truth_scene  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402

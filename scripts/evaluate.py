@@ -29,11 +29,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from arguments import at_least_one, pixels
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
 
+from arguments import at_least_one, pixels  # noqa: E402
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from arguments import at_least_one
 
 from derender.cli import status_of
 from derender.evaluation.convex import intersection_over_union
@@ -30,7 +29,10 @@ from derender.structures.infer import infer_structure
 from derender.structures.known.library import Known
 from derender.structures.options import Options
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
+
+from arguments import at_least_one  # noqa: E402
 
 from worlds.frontier_scenes import BEHIND, KINDS, SCALE, make  # noqa: E402
 

@@ -17,10 +17,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from arguments import at_least_one
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
+
+from arguments import at_least_one  # noqa: E402
 
 from derender.atomic import make_folder  # noqa: E402
 from derender.camera.sensor import SENSORS, find_sensor  # noqa: E402

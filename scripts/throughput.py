@@ -20,12 +20,14 @@ import time
 from pathlib import Path
 
 import numpy as np
-from arguments import at_least_one
 
 from derender.camera.depth_file import write_depth
 from derender.cli import status_of
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # its worlds/
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
+
+from arguments import at_least_one  # noqa: E402
 
 from worlds.made_scenes import SETS, make_scene  # noqa: E402
 

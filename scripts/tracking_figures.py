@@ -18,10 +18,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-from arguments import names_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from arguments import names_in  # noqa: E402
 from sequences import KINDS, make_sequence  # noqa: E402
 
 from derender.camera.intrinsics import Camera  # noqa: E402
