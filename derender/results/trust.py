@@ -46,6 +46,7 @@ MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely 
 # One thing at less than three to two is too much. (Of 57 answers to variants of labelled real frames with nothing else
 # to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
 MOST_WRONG, FEW = 0.4, 0.05
+TOLD_COUNT = 0.05  # of objects; fewer are 0.0 in one digit, and not worth a word
 FITS = 4.0  # standard deviations by which noise alone hardly ever leaves an image less likely than others of its scene
 OFF = 0.1  # of an object's extent: by less a real sensor tells its place, and what there is (an IoU of .8)
 
@@ -120,8 +121,9 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     # What the image's border cuts is nowhere seen as it is: its like may be missed, and all the rest be right.
     more = sum(probability for probability, *_ in posterior.meta.get("clutter", ()))
     if none + more > max(MOST_WRONG, FEW * len(solids)):
-        words = f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others"
-        doubts.append(f"{words}, and {more:.1f} of what else is seen to be objects")
+        parts = {f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others": none,
+                 f"{more:.1f} objects are expected in what else is seen": more}  # fmt: skip
+        doubts.append(", and ".join(words for words, count in parts.items() if count >= TOLD_COUNT))
     told += [Doubt(f"{name} touches nothing: what bears it was not found", about=(name,))
              for name in posterior.meta.get("hanging", ())]  # fmt: skip
     if posterior.meta.get("no_floor"):  # what else is there is not known; what is told stands free, whatever bears it

@@ -80,7 +80,9 @@ def test_an_answer_is_doubted_in_which_much_is_expected_to_be_wrong(count, known
     vertices = [SimpleNamespace(name=f"box_{k}", body=posterior.best_part.graph.body("")) for k in range(count)]
     posterior.best_part.graph.vertices = vertices
     posterior.best_part.values, posterior.object_probability = np.zeros((1, 1, 0)), lambda name: known
-    assert [doubt.serious for doubt in chain_doubts(posterior, [])] == [True] * expected
+    doubts = chain_doubts(posterior, [])
+    assert [doubt.serious for doubt in doubts] == [True] * expected
+    assert not any("0.0" in doubt.words for doubt in doubts)  # nothing is told of none
 
 
 @pytest.mark.parametrize(
