@@ -26,7 +26,7 @@ from derender.tracking.contact import gaps_of
 from derender.tracking.drawing import DEVIATION
 from derender.tracking.fit import RIGID
 from derender.tracking.path import change_between, smooth_path
-from derender.tracking.thing import GONE, LOST, MOVING, STILL, Start
+from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Start
 from derender.tracking.track import Recorder, Track
 from derender.tracking.tracker import is_quiet, rotation_between
 
@@ -142,8 +142,7 @@ class Pass:
             if recorder and any(LOST in frame.states for frame in recorder.seen):
                 return False
         cost, pixels = self.costs()
-        each = cost / np.maximum(pixels, 1.0)
-        least = float(np.min(each))
+        least = float(np.min(cost[pixels > 0] / pixels[pixels > 0]))  # a frame without depth costs nothing
         limit = least * (1 + UNEXPLAINED[1]) * pixels + UNEXPLAINED[0] * DEVIATION * np.sqrt(pixels)
         return int((cost > limit).sum()) <= MOST_UNEXPLAINED
 
@@ -159,6 +158,8 @@ GROWTH = 0.003  # metres that a size changes by in one frame's fit
 # it is no outline tells then: a foot that sinks changes no image, one that rises shows a gap, which noise now and then
 # fits, and over a film heights became .5 to .9 mm too small. They are held, within so many metres.
 FOOT, LEVEL, HELD = 0.003, 0.998, 1e-5
+# Metres and radians: what rests on both sides of frames without depth, and is no further off, rested in them.
+RESTS = 0.001
 # Frames from a motion within which what is taken to rest tells nothing of the camera: it begins and stops by less than
 # one frame shows, and the camera would follow it.
 DOUBTED = 3
@@ -214,12 +215,38 @@ class Smoother:
                 self._rest(k, mine)
                 if number < SWEEPS - 1:
                     self._grow(k, mine)
+        self._bridge()
         for t, (_, recorder, n) in enumerate(self.rows):
             change, seen = self._place(t) - self.before[t], recorder.seen[n]
             for k in np.flatnonzero(self.states[t] != GONE).tolist():
                 seen.poses[k], seen.states[k] = seen.view @ self.poses[t, k], self.states[t, k]
                 recorder.sizes[n][k] = self.tracker.things[k].size
             recorder.seen[n] = seen._replace(cost=seen.cost + change)
+
+    def _bridge(self) -> None:
+        """Lead things through frames without depth from where they were before to where they are after, as fast as they
+        are on both sides: what falls or slides does so, and an impact leads off by a share of its change of speed, or
+        of the way that these speeds leave over."""
+        full = [t for t, (frame, *_) in enumerate(self.rows) if np.any(self.frames[frame] > 0)]
+        for first, last in zip(full[:-1], full[1:], strict=True):
+            count, there = last - first, (self.states[[first, last]] != GONE).all(axis=0)
+            for k in np.flatnonzero(there).tolist() if count > 1 else ():
+                way = way_between(self.poses[first, k], self.poses[last, k])
+                speeds = [way / count, way / count]
+                for n, (a, b) in enumerate(((first - 1, first), (last, last + 1))):
+                    if {a, b} <= set(full) and GONE not in self.states[[a, b], k]:
+                        speeds[n] = way_between(self.poses[a, k], self.poses[b, k])
+                rests = bool((self.states[[first, last], k] == STILL).all() and np.abs(way).max() < RESTS)
+                offs = np.array([(speeds[1] - speeds[0]) * count / 8, (way - count * (speeds[0] + speeds[1]) / 2) / 2])
+                for t in range(first + 1, last):
+                    s = (t - first) / count
+                    speed = (s**3 - 2 * s**2 + s) * speeds[0] + (s**3 - s**2) * speeds[1]
+                    self.poses[t, k] = moved(self.poses[first, k], (3 * s**2 - 2 * s**3) * way + count * speed)
+                    self.states[t, k] = STILL if rests else HIDDEN
+                    if not rests:
+                        seen, known = (self.rows[at][1].seen[self.rows[at][2]] for at in (t, first))
+                        turned = (offs.reshape(4, 3) @ seen.view[:3, :3].T).reshape(2, 6)
+                        seen.covariances[k] = known.covariances[k] + turned.T @ turned
 
     def _find_views(self) -> None:
         """Find where the camera was in all frames; what moves stays where it was seen from there."""
@@ -274,8 +301,7 @@ class Smoother:
         beside = [s for s in (t - 1, t + 1) if 0 <= s < len(self.rows) and self.states[s, k] != GONE]
         others = [self.poses[s, k] for s in beside if MOVING in (self.states[s, k], self.states[t, k])]
         if len(others) == 2:
-            shift, turn = others[1][:3, 3] - others[0][:3, 3], rotation_between(*others)
-            others.append(moved(others[0], 0.5 * np.concatenate([shift, turn])))
+            others.append(moved(others[0], 0.5 * way_between(*others)))
         found = []
         for start in (self.poses[t, k], *sorted(others, key=lambda pose: tracker.draw(k, pose))[:1]):
             tracker.draw(k, start)
@@ -314,7 +340,7 @@ class Smoother:
             while end > first:
                 some = [fit for fit in fits[first:end] if fit is not None]
                 total, about = sum(fit.curvature for fit in some), some[0].pose
-                ways = [np.concatenate([f.pose[:3, 3] - about[:3, 3], rotation_between(about, f.pose)]) for f in some]
+                ways = [way_between(about, fit.pose) for fit in some]
                 way = np.linalg.solve(total, sum(f.curvature @ w for f, w in zip(some, ways, strict=True)))
                 off = [(float(np.linalg.norm(ways[i][:3] - way[:3])), i) for i in (0, -1)]
                 worst = max(off)[1]
@@ -344,6 +370,11 @@ class Smoother:
         before = np.linalg.inv(known.covariance[RIGID:, RIGID:])
         change = alike @ grown + before @ (ties @ (known.size - thing.size))
         thing.size = thing.size + np.linalg.solve(alike @ told + before, change) @ thing.ties
+
+
+def way_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the shift of the centre and the turn (6,), world axes, that lead from one pose (4, 4) to another."""
+    return np.concatenate([second[:3, 3] - first[:3, 3], rotation_between(first, second)])
 
 
 def discount(told: np.ndarray, variance: float) -> np.ndarray:
