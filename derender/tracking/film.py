@@ -14,11 +14,13 @@ from derender.camera.depth_file import DepthImage, decoded_file, image_of, read_
 from derender.camera.image_files import MOST_BYTES, read_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
+from derender.tracking.gaps import counted, lacking, repeated
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a folder
 FPS = 30.0  # assumed where nobody says
 MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
+SAID = 5  # frames at most that a note names
 WHOLE, MOST_CHANNELS = (".npz", ".npy"), 4  # files that may hold a whole film; an array of more is no colour image
 
 
@@ -40,6 +42,7 @@ class Film(NamedTuple):
     times: np.ndarray  # (T,) float64, seconds, increasing
     gravity: np.ndarray | None  # (3,) m/s^2, camera axes of the first frame, or None: as the scene's floor lies
     fps_is_guess: bool  # True where the frame rate was assumed
+    notes: tuple[str, ...] = ()  # what was found amiss and made up for
 
 
 def frame_files(sources: Sequence[str | Path]) -> list[Path]:
@@ -165,9 +168,36 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
         what = f"there are {len(frames)} frames and {len(timing.times)} times"
         raise DerenderError(what, camera or where, "give one time for each frame")
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
-    times = timing.times if timing.times is not None and fps is None else np.arange(len(frames)) / (rate or FPS)
     guessed = rate is None and timing.times is None
-    return Film(names, frames, seen[0].camera, seen[0].camera_is_guess, times, timing.gravity, guessed)
+    times = timing.times if timing.times is not None and fps is None else counted(names) / (rate or FPS)
+    film = Film(names, frames, seen[0].camera, seen[0].camera_is_guess, times, timing.gravity, guessed)
+    return _completed(film)
+
+
+def _named(names: list[str], numbers: Any) -> str:
+    """Return the first names of some frames."""
+    more = ", ..." if len(numbers) > SAID else ""
+    return ", ".join(names[t] for t in numbers[:SAID]) + more
+
+
+def _completed(film: Film) -> Film:
+    """Return a film with frames without depth where its frames were dropped, or written twice."""
+    names, frames, times, notes = list(film.names), list(film.frames), film.times, []
+    twice = repeated(frames)
+    for t in twice:
+        frames[t] = np.full_like(frames[t], np.nan)
+    if twice:
+        notes.append(f"{_named(names, twice)} repeat the frame before, bit by bit: taken as without depth")
+    gaps = lacking(times)
+    before = np.flatnonzero(gaps)
+    if len(before):
+        notes.append(f"{gaps.sum()} frames are missing, by times or names, before {_named(names, before)}")
+    for t in before[::-1]:
+        between = np.linspace(times[t - 1], times[t], gaps[t] + 2)[1:-1]
+        times = np.insert(times, t, between)
+        names[t:t] = ["missing"] * gaps[t]
+        frames[t:t] = [np.full_like(frames[0], np.nan)] * gaps[t]
+    return film._replace(names=names, frames=frames, times=times, notes=tuple(notes))
 
 
 def check_size(frame: np.ndarray, first: np.ndarray, path: Path) -> None:

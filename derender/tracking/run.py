@@ -96,6 +96,8 @@ def track_to_folder(
         film = film._replace(frames=[enlargement.reduced(frame) for frame in film.frames],
                              camera=enlargement.camera(film.camera))  # fmt: skip
         warn(enlargement.told())
+    for note in film.notes:
+        warn(note)
     if film.camera_is_guess:
         warn(f"no camera is given: taking {film.camera.field_of_view:.0f} degrees horizontal field of view")
     if film.fps_is_guess:
