@@ -138,6 +138,20 @@ class Impacts:
         it before a blow, too, is held to it."""
         return plane_under(self.bodies[k], self.floors, self.filled[max(frame - 1, 0) :, k])
 
+    @property
+    def rebounds(self) -> bool:
+        """Whether tracking may show what an impact gives back: of a ball, or of what rises from one into the air.
+
+        What stays where it lands rocks from corner to corner. How its films fit says how it will go on, but they fit by
+        chance: of boxes that toppled .31 to .62, or 0 to .05, was told where .13 was true.
+        """
+        if any(body.kind == "sphere" for body in self.bodies):
+            return True
+        height = -self.filled[..., :3] @ self.gravity / max(float(np.linalg.norm(self.gravity)), 1e-9)
+        fallen = np.maximum.accumulate(height) - height > STRUCK
+        lowest = np.minimum.accumulate(np.where(fallen, height, np.inf))
+        return any(self._flies(frame, k) for frame, k in np.argwhere(height > lowest + STRUCK))
+
     def _flies(self, frame: int, k: int) -> bool:
         """Return whether body k touches nothing in a frame."""
         body, names = self.bodies[k]._replace(pose=to_poses(self.filled[frame, k])), self.motion.names

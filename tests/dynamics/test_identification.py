@@ -506,6 +506,25 @@ def test_two_frames_and_uneven_times_are_refused():
         motion_of(film.matter, ("box",), film.times[::-1], poses, covariances)
 
 
+def test_only_what_rises_from_an_impact_or_a_ball_shows_what_it_gives_back(monkeypatch):
+    """Boxes that toppled and stayed where they landed told restitutions of .31 to .62 where .13 was true."""
+    fall = 0.5 - GRAVITY / 2 * (STEP * np.arange(FRAMES)) ** 2
+    rises = np.where(fall > 0.05, fall, 0.05 + 0.02 * (np.arange(FRAMES) % 3))
+    thrown = 0.06 + np.clip(1.0 * STEP * np.arange(FRAMES), 0, 0.3)
+    for kind, heights, shown in (
+        ("box", np.maximum(fall, 0.05), False), ("box", rises, True), ("box", thrown, False),
+        ("sphere", np.maximum(fall, 0.05), True),
+    ):  # fmt: skip
+        body = Body("thing", kind, np.full(3, 0.1), np.eye(4))
+        at = np.column_stack([0 * heights, 0 * heights, heights])
+        assert shooting_of(motion(body, at, np.random.default_rng(0), metres=1e-4)).rebounds == shown
+    film = bounce(0.6, np.random.default_rng(2), frames=10)
+    shooting = shooting_of(film)
+    assert shooting.tells(shooting.first_path(shooting.parameters.middle())).tolist() == [True, True, True]
+    monkeypatch.setattr(Shooting, "rebounds", False)
+    assert identify(film, np.random.default_rng(0), draws=5).told.tolist() == [False, False, False]
+
+
 def test_frames_that_are_taken_a_little_early_or_late_are_brought_to_even_times():
     """A clock's jitter was refused; taking the poses as they were would have moved a slide by up to 9 mm."""
     rng = np.random.default_rng(3)
