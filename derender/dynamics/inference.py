@@ -392,9 +392,8 @@ class Identified(NamedTuple):
     parameters: Parameters  # what the coordinates mean
     modes: list[Mode]  # along friction, the best first
     draws: Draws  # weighted, of coordinates and scales
-    # (P,) bool, which coordinates the film tells; of the others the draws are the prior's, but for the restitution of
-    # what never rebounds, of which they are those of the films that fit
-    told: np.ndarray
+    told: np.ndarray  # (P,) bool, which coordinates the film tells; of the others the draws are the prior's
+    stated: np.ndarray  # (P,) bool, which of them may be stated: of what never rebounds no restitution
 
 
 def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = None, draws: int = DRAWS) -> Identified:
@@ -415,5 +414,6 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
         if number >= ALWAYS:
             with_it = ALWAYS - 1 + np.flatnonzero(shooting.partner == number - ALWAYS + 1)[1:]
             found.coordinates[:, with_it] += shift[:, None]
-    told[1:ALWAYS] &= shooting.rebounds
-    return Identified(parameters, modes, found, told)
+    stated = told.copy()
+    stated[1:ALWAYS] &= shooting.rebounds
+    return Identified(parameters, modes, found, told, stated)

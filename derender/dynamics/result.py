@@ -52,7 +52,7 @@ class Answer:
         values[:, 1] = np.clip(values[:, 1] + ENGINE_RESTITUTION * rng.standard_normal(len(values)), 0.0, 1.0)
         self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
         narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()
-        self.told = [name for name, yes in zip(found.parameters.labels, narrow, strict=True) if yes]
+        self.told = [name for name, yes in zip(found.parameters.labels, narrow & found.stated, strict=True) if yes]
         mode = found.modes[0]
         lower = np.linalg.cholesky(mode.first + 1e-12 * np.eye(len(mode.first)))
         changes = (rng.standard_normal((len(values), len(lower))) @ lower.T).reshape(len(values), -1, CHANGE)
