@@ -22,6 +22,8 @@ REPEATED, HELD_WITHIN, HELD_TURN = 1e-9, 0.001, 0.012
 # Frames may be taken earlier or later than at even times by so much of a step: clocks of sensors are. Where all are
 # nearer, their poses are taken as they are: at a metre a second and 30 frames that is a third of a millimetre.
 UNEVEN, EXACT = 0.3, 0.01
+# Seconds from frame to frame: in longer ones all that slides or falls has come to rest.
+LONGEST = 1.0
 
 
 class Motion(NamedTuple):
@@ -106,6 +108,8 @@ def motion_of(
     late = times - (first + step * count)
     if not (np.diff(times) > 0).all() or np.abs(late).max() > UNEVEN * step:
         raise DerenderError("the frames' times do not rise evenly", remedy="give frames at a steady rate, in order")
+    if step > LONGEST:
+        raise DerenderError(f"frames {step:.3g} s apart show no motion", remedy="times are in seconds")
     seen = np.isfinite(poses).all(axis=(2, 3))
     poses, spread = np.array(poses), np.where(seen[..., None, None], covariances, np.eye(6))
     if np.abs(late).max() > EXACT * step:

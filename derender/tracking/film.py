@@ -20,6 +20,7 @@ SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a f
 FPS = 30.0  # assumed where nobody says
 MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
+FAR_APART, ONE_G = 5.0, 0.1  # seconds between frames, and m/s^2 off 1, that look like another unit
 SAID = 5  # frames at most that a note names
 WHOLE, MOST_CHANNELS = (".npz", ".npy"), 4  # files that may hold a whole film; an array of more is no colour image
 
@@ -171,7 +172,17 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     guessed = rate is None and timing.times is None
     times = timing.times if timing.times is not None and fps is None else counted(names) / (rate or FPS)
     film = Film(names, frames, seen[0].camera, seen[0].camera_is_guess, times, timing.gravity, guessed)
-    return _completed(film)
+    return _completed(film._replace(notes=tuple(_odd_units(film))))
+
+
+def _odd_units(film: Film) -> list[str]:
+    """Return what times and gravity look as if they were not in seconds and m/s^2."""
+    notes = []
+    if len(film.times) > 1 and (step := float(np.median(np.diff(film.times)))) > FAR_APART:
+        notes.append(f"frames are {step:.3g} s apart: times are in seconds, are these in another unit?")
+    if film.gravity is not None and abs(np.linalg.norm(film.gravity) - 1) < ONE_G:
+        notes.append("gravity is given as 1 m/s^2: taking it so; if it is in g, multiply it by 9.81")
+    return notes
 
 
 def _named(names: list[str], numbers: Any) -> str:
@@ -182,7 +193,7 @@ def _named(names: list[str], numbers: Any) -> str:
 
 def _completed(film: Film) -> Film:
     """Return a film with frames without depth where its frames were dropped, or written twice."""
-    names, frames, times, notes = list(film.names), list(film.frames), film.times, []
+    names, frames, times, notes = list(film.names), list(film.frames), film.times, list(film.notes)
     twice = repeated(frames)
     for t in twice:
         frames[t] = np.full_like(frames[t], np.nan)

@@ -101,7 +101,7 @@ def track_to_folder(
     if film.camera_is_guess:
         warn(f"no camera is given: taking {film.camera.field_of_view:.0f} degrees horizontal field of view")
     if film.fps_is_guess:
-        warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds and free fall are wrong if it is another")
+        warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds and friction are wrong if it is another")
     if film.gravity is None:
         say("no gravity is given: taking it along the floor's normal")
     told, names = 0, list(film.names)

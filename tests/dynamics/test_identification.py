@@ -502,6 +502,8 @@ def test_two_frames_and_uneven_times_are_refused():
     poses, covariances = film.poses, film.covariances
     with pytest.raises(DerenderError, match="2 frames"):
         motion_of(film.matter, ("box",), film.times[:2], poses[:2], covariances[:2])
+    with pytest.raises(DerenderError, match="33.3 s apart"):
+        motion_of(film.matter, ("box",), 1000 * film.times, poses, covariances)
     with pytest.raises(DerenderError, match="evenly"):
         motion_of(film.matter, ("box",), film.times[::-1], poses, covariances)
 

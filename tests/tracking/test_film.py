@@ -134,6 +134,13 @@ def test_a_frame_that_was_written_twice_was_not_taken_anew(tmp_path):
     assert np.isfinite(read_film([tmp_path / "film.npy"]).frames).all()
 
 
+def test_times_and_gravity_in_other_units_are_said(tmp_path):
+    """Times in nanoseconds ended in a traceback of the engine, and in milliseconds its films took for ever."""
+    film = read_film([write(tmp_path / "f", times=[0, 33, 67], gravity=[0, 0.9, 0.43])])
+    assert "33.5 s apart" in film.notes[0] and "in g" in film.notes[1]
+    assert not read_film([write(tmp_path / "g", times=[0, 0.1, 0.2], gravity=[0, 9.0, 3.9])]).notes
+
+
 FAULTS = {
     "dark": (lambda folder: np.save(folder / "frame_0.npy", np.zeros((48, 64), np.float32)), "begin with frame_1.npy"),
     "empty": (lambda folder: [p.unlink() for p in folder.glob("frame*")], "the film is empty"),
