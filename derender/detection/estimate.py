@@ -7,7 +7,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.detection.compounds import compounds, with_borne
-from derender.detection.floor import NoFloor, sensor_deviation
+from derender.detection.floor import NoFloor
 from derender.detection.freestanding import freestanding, returns_about
 from derender.detection.leftovers import leftovers
 from derender.detection.levels import floor_below
@@ -22,6 +22,7 @@ from derender.detection.solids.state import State, held_out
 from derender.detection.solids.support import final_parents
 from derender.detection.things import BAD, likely_things, take_things, without_background
 from derender.errors import DerenderError
+from derender.results.fit import sensor_deviation
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 # Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent.

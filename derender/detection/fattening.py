@@ -10,6 +10,7 @@ import numpy as np
 
 from derender.camera.windows import least
 from derender.detection.floor import pixel_noise
+from derender.results.fit import scatter
 
 # Share of the depth by which what is beyond a silhouette is farther, and standard deviations of a pixel's own noise:
 # of a pixel that noise parts from its neighbours the one that is nearer looks as if it were one too many.
@@ -19,7 +20,6 @@ BENT = np.array([1.0, -1.0, -1.0, 1.0])  # how far those are from lying on a lin
 WAVED = np.array([-1.0, 3.0, -3.0, 1.0])  # from lying on a parabola: what is left of smooth surfaces is noise
 SLOPES = 0.002, 0.012  # shares of the depth by pixel: flatter is told by nothing, steeper is seen at a grazing angle
 ROUGH, NOISE = 4.0, 2.5  # standard deviations from which on pixels are on no line, and silhouettes tell something else
-TO_SIGMA = 1.4826  # standard deviations of a normal in the median of its absolute value
 ROUNDS = 5  # in which those are left out
 FEWEST = 30  # pixels of silhouettes
 # Pixels over which surfaces are flat: over none, or one, or more where they are smoothed; and of standard error: with
@@ -72,7 +72,7 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
     if good.any():
         good &= rough <= ROUGH**2 * np.median(rough[good])
     terms, rise, pixels, error = np.column_stack([slope, bent])[good], rise[good], 0.0, np.inf
-    noise = (TO_SIGMA * np.median(np.abs(waved[good]))) ** 2 / (WAVED @ WAVED) if good.any() else 0.0  # variance
+    noise = scatter(waved[good]) ** 2 / (WAVED @ WAVED) if good.any() else 0.0  # variance
     of_slope = noise / (away @ away)
     by_noise = np.diag([of_slope, noise * (BENT @ BENT)]), np.array([(INSIDE.mean() - within) * of_slope, 0.0])
     for _ in range(ROUNDS):
@@ -83,7 +83,7 @@ def flat_pixels(depth: np.ndarray, within: int = 0) -> tuple[float, float]:
         spreads = np.linalg.inv(squares)
         fitted = spreads @ (terms.T @ rise - len(terms) * by_noise[1])
         left = np.abs(rise - terms @ fitted)
-        pixels, spread = float(fitted[0]), TO_SIGMA * float(np.median(left))
+        pixels, spread = float(fitted[0]), scatter(left)
         error = spread * float(np.sqrt((spreads @ sums @ spreads)[0, 0]))
         terms, rise = terms[left < NOISE * spread], rise[left < NOISE * spread]
     return pixels, error

@@ -17,7 +17,7 @@ from derender.detection.patches import local_planes
 from derender.detection.pyramid import estimate_blur, noise_of
 from derender.errors import DerenderError
 from derender.render.blur import blur_radius
-from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
+from derender.results.fit import TO_SIGMA, scatter, sensor_deviation
 from derender.scene.pose import upright_frame
 
 USUAL = 0.8  # metres from which household things are looked at
@@ -120,7 +120,7 @@ def plane_through(
         normal *= np.sign(-normal @ centre)
         offset = normal @ centre
         off = np.abs(chosen @ normal - offset)
-        scale = np.clip(1.4826 * weighted_median(off, weight[inner]), 2e-4, most)
+        scale = np.clip(TO_SIGMA * weighted_median(off, weight[inner]), 2e-4, most)
     return floor_on(depth.shape, good, flat, normal, offset, scale, weight)
 
 
@@ -134,7 +134,7 @@ def floor_on(shape: tuple[int, int], good: np.ndarray, flat: np.ndarray, normal:
     slope = np.maximum(np.abs(flat @ normal) / flat[:, 2], 0.05)
     residual = (flat @ normal - offset) / slope
     inner = np.abs(residual) < 4 * scale / slope
-    sigma = float(1.4826 * weighted_median(np.abs(residual[inner]), weight[inner]))
+    sigma = float(TO_SIGMA * weighted_median(np.abs(residual[inner]), weight[inner]))
     inliers = np.zeros(shape, bool)
     inliers.flat[good[inner]] = True
     return Floor(frame_of(normal, offset, flat[inner].mean(axis=0)), max(sigma, 3e-4), inliers)
@@ -198,7 +198,7 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: Camera) -> Floor:
         noise = noise_map(depth, told, camera)
     if told is floor:
         return floor
-    scale = 1.4826 * float(np.median(np.abs(flat[told.inliers.ravel()[good]] @ normal - offset)))
+    scale = scatter(flat[told.inliers.ravel()[good]] @ normal - offset)
     return floor_on(depth.shape, good, flat, normal, offset, scale, np.ones(len(good)))
 
 
@@ -242,7 +242,7 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera) -> np.ndarray:
         if after > BETTER * before:
             continue
         surface = terms @ numbers
-        fitted = surface[floor.inliers][np.abs(surface[floor.inliers] - seen) < WITHIN * after]
+        fitted = surface[floor.inliers][np.abs(surface[floor.inliers] - seen) <= WITHIN * after]
         bend, before = np.clip(surface, fitted.min(), fitted.max()), after
     most = MOST * sensor_deviation(float(np.median(depth[floor.inliers])))
     slope = -(camera.rays() @ normal)
@@ -251,23 +251,13 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera) -> np.ndarray:
 
 def robust_fit(terms: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (the numbers by which terms (N, K) explain most of what is seen (N,), metres that the rest scatters)."""
-    kept = np.abs(seen) < WITHIN * scatter(seen)
+    kept = np.abs(seen) <= WITHIN * scatter(seen)
     for _ in range(ROUNDS):
         numbers = np.linalg.lstsq(terms[kept], seen[kept], rcond=None)[0]
         residual = seen - terms @ numbers
         after = scatter(residual)
-        kept = np.abs(residual) < WITHIN * after
+        kept = np.abs(residual) <= WITHIN * after
     return numbers, after
-
-
-def sensor_deviation(depth: float | np.ndarray) -> float | np.ndarray:
-    """Return the standard deviation in metres of what consumer depth cameras are off by at a depth, bias included."""
-    return (SENSOR_PER_DEPTH * depth + SENSOR_PER_SQUARE * depth**2) / 3.0
-
-
-def scatter(residual: np.ndarray) -> float:
-    """Return the standard deviation of residuals about zero, from the median of their sizes."""
-    return 1.4826 * float(np.median(np.abs(residual))) + 1e-9
 
 
 NEAR = 0.02  # metres off a given plane within which its own points are looked for
@@ -321,7 +311,7 @@ def given_floor(depth: np.ndarray, camera: Camera, floor: np.ndarray | str) -> F
     if near.sum() < 20:
         raise DerenderError("hardly any point of the image lies within 2 cm of the floor given", "--floor",
                             "camera axes: x right, y down, z forward, metres; or --floor auto")  # fmt: skip
-    sigma = max(1.4826 * float(np.median(np.abs(residual[near]))), 3e-4)
+    sigma = max(scatter(residual[near]), 3e-4)
     inliers = near & (np.abs(residual) < 4 * sigma)
     return Floor(frame_of(normal, offset, points[inliers].mean(axis=0)), sigma, inliers)
 
@@ -341,7 +331,7 @@ def neighbour_noise(depth: np.ndarray) -> float:
     """Return the standard deviation of independent noise in metres, from second differences along the rows."""
     second = depth[:, :-2] - 2 * depth[:, 1:-1] + depth[:, 2:]
     second = second[np.isfinite(second)]
-    return 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) >= 50 else 0.001
+    return scatter(second) / np.sqrt(6) if len(second) >= 50 else 0.001
 
 
 GRAZING = 0.15  # sine of the angle at which rays meet the floor
@@ -421,7 +411,7 @@ def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: Camera) -> fl
     height = (camera.points(depth) - floor.pose[:3, 3]) @ normal
     distance = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
     near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
-    limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
+    limit = 3 * scatter(height[near]) + 1e-6
     height = np.where(near & (np.abs(height) < limit), height, np.nan)
     a, b = height[:, :-1], height[:, 1:]
     both = np.isfinite(a) & np.isfinite(b)

@@ -22,10 +22,10 @@ from derender.detection.floor import (
     NoFloor,
     neighbour_noise,
     plane_through,
-    sensor_deviation,
 )
 from derender.detection.solids.beliefs import bare_image
 from derender.errors import DerenderError
+from derender.results.fit import sensor_deviation
 from derender.scene.priors.bare_image import Floors
 
 # Of the pixels: the least of a level plane to which others are no match, and of a floor before a wall that the camera
@@ -106,7 +106,7 @@ def floors_of(depth: np.ndarray, camera: Camera, gravity: Any = None,
     noise = neighbour_noise(depth)
     if noise > max(MOST_NOISE, ROUGHEST * float(sensor_deviation(float(np.median(sample[:, 2]))))):
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)  # there are no surfaces
-    near = tolerance_of(sample[:, 2], noise)
+    near = near_at(sample[:, 2], noise)
     odds, share = odds_of_floors(sample, near, normal, offset, gravity, believed)
     best = int(np.argmax(odds))
     if odds[best] < np.log(believed.none):
@@ -139,7 +139,7 @@ def floors_of(depth: np.ndarray, camera: Camera, gravity: Any = None,
         best = int(kept[np.argmax(odds[kept])])
 
 
-def tolerance_of(depth: np.ndarray, noise: float) -> np.ndarray:
+def near_at(depth: np.ndarray, noise: float) -> np.ndarray:
     """Return how many metres off a plane, at first sight, points at a depth in metres may be that lie on it.
 
     noise : metres, of neighbouring pixels.
@@ -186,7 +186,7 @@ def planes_through(triples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def near_plane(points: np.ndarray, near: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float]:
     """Return ((N,) bool, which points (N, 3) lie on a plane; how many metres off it these may be, the median).
 
-    near : (N,) metres, see `tolerance_of`.
+    near : (N,) metres, see `near_at`.
     """
     across = near * np.clip(-offset / points[:, 2], SLANT, 1.0)
     on = np.abs(points @ normal - offset) < across
@@ -201,7 +201,7 @@ def odds_of_floors(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, off
     on it: a table top with the room's floor behind it may have some, the side of a box has many. Where gravity is known
     only level planes have odds, if there is one.
 
-    sample : (S, 3) points. near : (S,) metres, see `tolerance_of`.
+    sample : (S, 3) points. near : (S,) metres, see `near_at`.
     """
     score, share = scores(sample, near, normal, offset, believed.under)
     below = below_a_top(normal, score, share, (share - score) / believed.under)

@@ -26,7 +26,7 @@ CLOSE, SAME_TOP, WIDER = 0.6, 0.2, 1.6
 BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
 # Most times as deep as wide that both together may be as the camera sees them: two mugs, one behind the other, are
 # twice as deep; and least of its width by which the middle of the farther one lies farther than its sides.
-DEEPER, HOLLOW = 1.4, 0.1
+DEEPER, BENT = 1.4, 0.1
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -198,7 +198,7 @@ def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
     far, aside = sight @ farther[:, :2].T
     half = 0.5 * np.ptp(aside)
     bent = np.column_stack([np.ones_like(aside), aside, ((aside - aside.mean()) / half) ** 2, farther[:, 2]])
-    return bool(-np.linalg.lstsq(bent, far, rcond=None)[0][2] > HOLLOW * 2.0 * half)
+    return bool(-np.linalg.lstsq(bent, far, rcond=None)[0][2] > BENT * 2.0 * half)
 
 
 def outline_area(points: np.ndarray) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from derender.camera.intrinsics import LEVEL, Camera
 from derender.camera.windows import greatest, labelled, least, of_five, opened
 from derender.render.likelihoods.pixelwise import noise_at
-from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
+from derender.results.fit import Fit, Noise, scatter, sensor_deviation
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
 from derender.scene.polygon import convex_outline, outline_planes
@@ -281,7 +281,7 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
         return []
     middle = float(np.nanmedian(observed))
     fitted = float(noise_at(middle, {"sigma": 0.0, **likelihood}))
-    usual = (SENSOR_PER_DEPTH * middle + SENSOR_PER_SQUARE * middle**2) / 3.0
+    usual = sensor_deviation(middle)
     if fitted <= NOISY * max(fit.noise.sigma, usual):
         return []
     words = f"a noise of {1000 * fitted:.2g} mm was fitted where flat patches show {1000 * fit.noise.sigma:.2g} mm"
@@ -416,7 +416,7 @@ def fitted(across: np.ndarray, down: np.ndarray, depth: np.ndarray) -> Face | No
             return None
         plane = np.linalg.solve(spread, some @ inverse[kept])
         off = np.abs(inverse - plane @ design)
-        deviation = 1.4826 * float(np.median(off[kept])) + np.finfo(float).eps
+        deviation = scatter(off[kept]) + np.finfo(float).eps
         within = off < NO_NOISE * deviation
         if (within == kept).all():
             break

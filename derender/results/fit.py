@@ -65,6 +65,7 @@ def flat_noise(observed: np.ndarray) -> Noise:
 # Three standard deviations of what depth cameras are off by at a depth z, from planes before consumer sensors (white
 # noise, slow bias and edges together): 12 mm at 1 m, 32 mm at 2 m.  A depth within it is explained.
 SENSOR_PER_DEPTH, SENSOR_PER_SQUARE = 0.008, 0.004  # metres by metre, by square metre
+TO_SIGMA = 1.4826  # standard deviations of a normal in the median of its absolute value
 DEVIATIONS = 4.0  # of the noise that the image's own flat patches show, where that is more
 MOST_TOLERANCE = 0.05  # of the depth: whatever the noise, a depth that is farther off is not explained
 AT_EDGES = 1  # pixels by which a silhouette may lie elsewhere, besides the blur
@@ -138,13 +139,23 @@ def fit_of(
     return Fit(label, depth.astype(np.float32), clean, tolerance, explained, background, share, noise)
 
 
+def sensor_deviation(depth: float | np.ndarray) -> float | np.ndarray:
+    """Return the standard deviation in metres of what consumer depth cameras are off by at a depth, bias included."""
+    return (SENSOR_PER_DEPTH * depth + SENSOR_PER_SQUARE * depth**2) / 3.0
+
+
+def scatter(residual: np.ndarray) -> float:
+    """Return the standard deviation of residuals about zero, from the median of their sizes."""
+    return TO_SIGMA * float(np.median(np.abs(residual)))
+
+
 def tolerance_of(observed: np.ndarray, noise: Noise) -> np.ndarray:
     """Return how far off each depth (H, W) may be and yet be explained, metres, NaN where there is none.
 
     noise : Noise that the image's flat patches show.
     """
-    sensor = SENSOR_PER_DEPTH * observed + SENSOR_PER_SQUARE * observed**2
-    return np.minimum(np.maximum(sensor, DEVIATIONS * noise.at(observed)), MOST_TOLERANCE * observed)
+    tolerance = np.maximum(3.0 * sensor_deviation(observed), DEVIATIONS * noise.at(observed))
+    return np.minimum(tolerance, MOST_TOLERANCE * observed)
 
 
 def neighbourhood(depth: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:

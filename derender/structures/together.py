@@ -20,7 +20,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.blur import blur
 from derender.render.likelihoods.pixelwise import noise_at
-from derender.results.fit import flat_noise, tolerance_of
+from derender.results.fit import TO_SIGMA, flat_noise, tolerance_of
 from derender.results.posterior import StructurePosterior
 from derender.scene.pose import inverse, rotation_z, twist_exp
 from derender.scene.solids import BOX
@@ -98,7 +98,7 @@ def mean_of(frames: Sequence[Frame]) -> Frame:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of pixels that no image has
         middle = np.nanmedian(depths, axis=0)
-        spread = 1.4826 * np.nanmedian(np.nanmedian(np.abs(depths - middle), axis=0))
+        spread = TO_SIGMA * np.nanmedian(np.nanmedian(np.abs(depths - middle), axis=0))
         kept = np.where(np.abs(depths - middle) <= OUTLYING * spread, depths, np.nan)
         kept = np.where(np.isfinite(kept).any(axis=0), kept, middle)
         mean = np.nanmean(kept, axis=0)

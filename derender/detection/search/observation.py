@@ -28,7 +28,6 @@ from derender.detection.floor import (
     pixel_noise,
     plane_through,
     scale_of,
-    sensor_deviation,
     under_its_noise,
 )
 from derender.detection.floors import (
@@ -38,9 +37,9 @@ from derender.detection.floors import (
     find_backdrop,
     fitted,
     floors_of,
+    near_at,
     near_plane,
     prior_of,
-    tolerance_of,
 )
 from derender.detection.patches import Patches, SeenSurface, find_patches, turned
 from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
@@ -48,6 +47,7 @@ from derender.detection.search.bodies import label_bodies
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.detection.solids.misfit import AS_SEEN
+from derender.results.fit import sensor_deviation
 from derender.scene.priors.bare_image import Floors
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
@@ -196,7 +196,7 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
         others = None if plane.others is None else single_pixels(plane.others, factor) > 0.0
         alone = depth if others is None else np.where(others, np.nan, depth)
         seen_points = camera.points(alone)[np.isfinite(alone)]
-        near = tolerance_of(seen_points[:, 2], pixel_noise(depth))
+        near = near_at(seen_points[:, 2], pixel_noise(depth))
         _, at = near_plane(seen_points, near, plane.normal, plane.offset)
         candidate = Candidate(plane.normal, plane.offset, at, 0.0)
         seen = over_candidate(depth, camera, factor, candidate, floating, others)
