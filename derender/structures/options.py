@@ -45,7 +45,7 @@ class Options:
     floor : None or "auto" (find it), "none", or the plane (4,) a x + b y + c z + d = 0 in camera axes, metres.
     may_overlap, may_float : whether solids may interpenetrate and hang in the air.
     budget : seconds after which draws that do not agree yet are not gone on with; None: they go on for so long as is
-        worth it, and a seed gives the same on any machine.
+        worth it, and a seed gives the same draws however fast the machine is.
     unit : metres for one unit of the depths, once that is known; None: it is found where the depths tell.
     """
 
