@@ -66,9 +66,7 @@ ALIKE = 0.1
 # Pixels of a piece of background up to which it is made of outliers. Explained as it is the blur would mix it with
 # those beside it, where it is not seen, and thin slabs explained them: of 20 images with 2 % of outliers three.
 SPECKLE = 7
-ONE_DEPTH = (
-    0.01  # share of the depth by which what lies beyond the floor varies, at most, where it is a wall of one depth
-)
+ONE_DEPTH = 0.01  # share of its depth by which what lies beyond the floor may vary and be a wall of one depth
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
 MARGIN = 0.01  # metres, seen from USUAL, beyond the outline of the visible floor that still count as over it
 LOWEST = 0.004  # metres over the floor from which on something stands on it; less of it where it is nearer than USUAL
@@ -210,7 +208,7 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
     else:
         seen = likeliest(depth, camera, factor, floating, believed)
     drawn_whole = seen.correlation <= CORRELATED and factor == 2 and reduced_by(whole, MOST_DRAWN) == 1
-    if drawn_whole and not as_it_came(seen, whole, whole_camera) > ALIKE:
+    if drawn_whole and not correlation_of_whole(seen, whole, whole_camera) > ALIKE:
         whole, _, _ = reduce(whole, whole_camera, whole.shape[1])
         return seen._replace(single=whole, single_camera=whole_camera)
     if seen.correlation > CORRELATED:  # what a real sensor shows at its edges is no mixture by a blur alone
@@ -324,7 +322,7 @@ def shared_by_neighbours(depth: np.ndarray, floor: Floor, camera: Camera) -> flo
     return 0.0 if drawn(depth, floor, camera) else neighbour_correlation(depth, floor, camera)
 
 
-def as_it_came(seen: Observation, depth: np.ndarray, camera: Camera) -> float:
+def correlation_of_whole(seen: Observation, depth: np.ndarray, camera: Camera) -> float:
     """Return the correlation of neighbouring pixels' noise in the image (H, W) as it came, of an Observation of it."""
     floor = seen.floor._replace(inliers=of_whole_image(seen.floor.inliers, seen, depth.shape))
     return shared_by_neighbours(depth, floor, camera)
