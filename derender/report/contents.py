@@ -126,4 +126,6 @@ def sensor_words(numbers: Mapping[str, Any]) -> dict[str, str]:
         words["blur"] = f"{numbers['blur']:.2g} pixels"
     if "outlier" in numbers:
         words["outliers"] = f"{numbers['outlier']:.2g} of the pixels"
+    if numbers.get("flying"):
+        words["flying"] = f"{numbers['flying']:.2g} of the pixels at edges"
     return words

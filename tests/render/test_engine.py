@@ -21,6 +21,8 @@ CASES = [
     ("robust", {"blur": 0.6, "missing": 0.1, "missing_edge": 0.1}),
     ("robust", {"blur": 2.0, "sigma_growth": 0.002}),
     ("robust", {"blur": 0.3, "sigma_growth": 0.002, "missing": 0.1, "missing_edge": 0.1}),
+    ("robust", {"blur": 0.3, "missing": 0.1, "missing_edge": 0.1, "flying": 0.4}),
+    ("robust", {"blur": 1.2, "sigma_growth": 0.002, "flying": 0.1, "edge_step": 0.05}),
     ("correlated", {"blur": 0.6, "sigma_growth": 0.002, "outlier": 0.05}),
     ("correlated", {"blur": 0.0, "reach": 2.0, "shared": 0.6, "clump": 0.2}),
 ]

@@ -11,7 +11,12 @@ from derender.render.blur import blur, blur_radius, blur_taps
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.evaluator import DepthEvaluator
 
-CASES = [("gaussian", {}), ("robust", {}), ("robust", {"sigma_growth": 0.004, "outlier": 0.1})]
+CASES = [
+    ("gaussian", {}),
+    ("robust", {}),
+    ("robust", {"sigma_growth": 0.004, "outlier": 0.1}),
+    ("robust", {"sigma": 0.01, "flying": 0.4}),
+]
 # A step of 0.5 m: pixels at an edge and away from one; 3 x 6 pixels.
 CLEAN = np.array([[1.0, 1.0, 1.0, 1.5, 1.5, 1.5]] * 3)
 
@@ -25,7 +30,7 @@ def pixel_density(name, values, x):
 def integral(name, values):
     """Return each pixel's integral over depths plus the atom of no return, by quadrature."""
     near = (c + np.linspace(-0.9, 0.9, 181) for c in (1.0, 1.5))
-    breaks = np.unique(np.concatenate([[-3.0, 0.1, 10.0, 13.0], *near]))
+    breaks = np.unique(np.concatenate([[-3.0, 0.1, 1.0, 1.5, 10.0, 13.0], *near]))
     nodes, weights = leggauss(6)
     total = np.zeros(CLEAN.shape)
     for low, high in zip(breaks, breaks[1:], strict=False):
@@ -54,7 +59,8 @@ def test_the_sampler_matches_the_density(name, values):
         lost = np.isnan(values_drawn)
         assert stats.binomtest(int(lost.sum()), lost.size, expected).pvalue > 1e-4
     found = np.sort(values_drawn[np.isfinite(values_drawn)])
-    grid = np.unique(np.concatenate([np.linspace(0.0, 12.0, 300), 1.5 + np.linspace(-0.5, 0.5, 801)]))[1:]
+    fine = np.concatenate([1.0 + np.linspace(-0.1, 0.1, 401), 1.5 + np.linspace(-0.5, 0.5, 801)])
+    grid = np.unique(np.concatenate([np.linspace(0.0, 12.0, 300), fine]))[1:]
     density = np.array([pixel_density(name, values, x)[0, column] for x in grid])
     steps = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))])
     assert stats.kstest(found, lambda x: np.interp(x, grid, steps / steps[-1])).pvalue > 1e-4

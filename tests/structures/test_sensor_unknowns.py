@@ -94,3 +94,16 @@ def test_odds_follow_the_noise_that_a_file_gives():
         engine = engine_of(chart, final)
         apart.append(load(engine, chart, values)[1] - load(engine, chart, shorter)[1])
     assert apart[0] > 20.0 and apart[0] / apart[1] == pytest.approx(4.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
+def test_how_many_pixels_fly_at_edges_is_told_by_the_final_fit_alone(share):
+    """The share is that of some 300 pixels: three standard deviations are .08."""
+    cube = State().add(row(BOX, 0.5, 0.0, 0.0, 0.0, (0.08,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    true = {"sigma": 0.002, "blur": 0.5, "flying": share, "edge_step": 0.01}
+    seen, chart, values = observe(np.random.default_rng(3), cube, true, camera(160, 120), "robust")
+    first = first_sensor(seen.camera, seen.observed, chart, values, PRIOR)
+    final = final_sensor(first, chart, values)
+    assert first.values["flying"] == 0.0  # before edges are where they are all pixels there fly
+    assert final.values["flying"] == pytest.approx(share, abs=0.08)
+    assert same_sensor_refitted(final, chart, values).values["flying"] == final.values["flying"]

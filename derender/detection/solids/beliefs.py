@@ -140,7 +140,7 @@ class Beliefs(NamedTuple):
 
 # Numbers of what neighbours share, and all numbers of a sensor that are fitted.
 SHARED = ("step", "step_growth", "reach", "reach_down", "white", "tail")
-UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", *SHARED)
+UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", "flying", *SHARED)
 RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
 
 

@@ -153,6 +153,37 @@ def mixture(observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float]
     return value, model, spread, (1.0 - values["outlier"]) * surface_density(value - model, spread), outliers
 
 
+STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # (rows, columns) to a neighbour: along rows, down columns, the diagonals
+
+
+def bends(clean: np.ndarray, steps: tuple[tuple[int, int], ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return of each pixel (H, W) the greatest second difference of a clean depth (H, W), with the wall, along some
+    steps, and the nearest and the farthest depth of it and those neighbours."""
+    height, width = clean.shape
+    padded = np.pad(clean, 1, mode="edge")
+    bend, nearest, farthest = np.zeros(clean.shape), clean, clean
+    for down, right in steps:
+        one, other = (padded[1 + way * down :, 1 + way * right :][:height, :width] for way in (1, -1))
+        bend = np.maximum(bend, np.abs(one + other - 2.0 * clean))
+        nearest, farthest = np.minimum(nearest, np.minimum(one, other)), np.maximum(farthest, np.maximum(one, other))
+    return bend, nearest, farthest
+
+
+def near_edges(clean: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where pixels may fly, (H, W) bool, and between which depths, (H, W) each: see `Robust`."""
+    bend, nearest, farthest = bends(clean, STEPS)
+    return bend > step, nearest, farthest
+
+
+def flying_density(
+    value: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, values: Mapping[str, float]
+) -> np.ndarray:
+    """Return the density, per metre, of what flies at an edge, see `Robust`; no nearest depth is a farthest one."""
+    within = ((value >= nearest) & (value <= farthest)) / (farthest - nearest)
+    on_one = sum(surface_density(value - one, noise_at(one, values)) for one in (nearest, farthest))
+    return 0.5 * within + 0.25 * on_one
+
+
 @likelihoods.register("robust")
 class Robust(Likelihood):
     """With m the blurred depth and d the clean one, a pixel
@@ -163,6 +194,11 @@ class Robust(Likelihood):
     An edge is a pixel at which the second difference of d along the row or the column is more than `edge_step`:
     surfaces that are flat in space, at whatever slant, have next to none. A pixel's value is a depth or "no return", so
     missing pixels count: a hole where the scene has no edge is evidence.
+
+    Of the returns at an edge, be it along a diagonal, the share `flying` lie between the surfaces beside it, the
+    nearest and the farthest clean depth of the pixel and its eight neighbours, in place of all that: half of them
+    anywhere, as a time-of-flight camera mixes what it sees in a pixel, a quarter on either one, as of a camera whose
+    pixels look a little beside where they should.
 
     A pixel may show what is no part of the scene: background, or a thing of no known form. Nothing is known of such a
     surface but that it is where it was seen, unless the scene hides it. Such a pixel holds minus that depth, and its
@@ -181,23 +217,25 @@ class Robust(Likelihood):
         Parameter("missing", "", *RATE, 0.02),
         Parameter("missing_edge", "", *RATE, 0.3),
         Parameter("edge_step", "m", 1e-4, 100.0, 0.02),
+        Parameter("flying", "", 0.0, RATE[1], 0.0),
     )
     code = 1
-    scored = ("sigma_growth", "outlier", "near", "far", "missing", "missing_edge", "edge_step")
+    scored = ("sigma_growth", "outlier", "near", "far", "missing", "missing_edge", "edge_step", "flying")
 
-    def missing_rate(self, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
+    def missing_rate(self, depth: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return the probability of no return, (H, W)."""
-        padded = np.pad(with_wall(depth, values["background"]), 1, mode="edge")
-        middle = 2.0 * padded[1:-1, 1:-1]
-        along = np.abs(padded[1:-1, :-2] + padded[1:-1, 2:] - middle)
-        down = np.abs(padded[:-2, 1:-1] + padded[2:, 1:-1] - middle)
-        edge = np.maximum(along, down) > values["edge_step"]
-        return np.where(edge, values["missing_edge"], values["missing"])
+        bend, _, _ = bends(with_wall(depth, values["background"]), STEPS[:2])
+        return np.where(bend > values["edge_step"], values["missing_edge"], values["missing"])
 
     def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         missing, (value, _, _, surface, outliers) = self.missing_rate(depth, values), mixture(observed, depth, values)
-        return np.where(value > 0.0, np.log((1.0 - missing) * (surface + outliers)), np.log(missing))
+        density = surface + outliers
+        edge, nearest, farthest = near_edges(with_wall(depth, values["background"]), values["edge_step"])
+        edge &= ~(observed < 0.0)
+        flies = flying_density(value[edge], nearest[edge], farthest[edge], values)
+        density[edge] = (1.0 - values["flying"]) * density[edge] + values["flying"] * flies
+        return np.where(value > 0.0, np.log((1.0 - missing) * density), np.log(missing))
 
     def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
@@ -205,4 +243,11 @@ class Robust(Likelihood):
         result = model + noise_at(model, values) * rng.standard_normal(depth.shape)
         outliers = rng.random(depth.shape) < values["outlier"]
         result[outliers] = rng.uniform(values["near"], values["far"], size=int(outliers.sum()))
+        if values["flying"] > 0.0:
+            edge, *sides = near_edges(with_wall(depth, values["background"]), values["edge_step"])
+            flies = edge & (rng.random(depth.shape) < values["flying"])
+            nearest, farthest = (side[flies] for side in sides)
+            one = np.where(rng.random(len(nearest)) < 0.5, nearest, farthest)
+            one += noise_at(one, values) * rng.standard_normal(len(one))
+            result[flies] = np.where(rng.random(len(one)) < 0.5, rng.uniform(nearest, farthest), one)
         return np.where((rng.random(depth.shape) < missing) | (result <= 0.0), np.nan, result)

@@ -291,7 +291,9 @@ def invert(image, left, right, top, bottom, pad, width):
 
 
 # entries of `parameters` for the robust likelihood, as `Robust.row` lays them out
-GROWTH, OUTLIER, NEAR, FAR, MISSING, MISSING_EDGE, EDGE_STEP = range(LIKELIHOOD_PARAMETERS, LIKELIHOOD_PARAMETERS + 7)
+GROWTH, OUTLIER, NEAR, FAR, MISSING, MISSING_EDGE, EDGE_STEP, FLYING = range(
+    LIKELIHOOD_PARAMETERS, LIKELIHOOD_PARAMETERS + 8
+)
 NOTHING = 1e-30  # density of outliers where there are none
 
 
@@ -329,13 +331,30 @@ def _constants(parameters):
 @njit(inline="always", borrows=True)
 def _mixture(told, model, constants):
     """Return what pixels hold, and the densities of their surface and of outliers: the twin of `mixture`."""
-    sigma, growth, peak, near, far, floor, nothing, zero, half_less = constants
+    _, _, _, near, far, floor, nothing, zero, _ = constants
     value = absolute(told)
     model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
+    surface = _on_surface(value, model, constants)
+    return value, surface, where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
+
+
+@njit(inline="always", borrows=True)
+def _on_surface(value, model, constants):
+    """Return the density of pixels that show a surface: the twin of `surface_density`, times the share that does."""
+    sigma, growth, peak, _, _, _, _, _, half_less = constants
     inverse = reciprocal(multiply_add(growth, multiply(model, model), sigma))
     z = multiply(subtract(value, model), inverse)
-    surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
-    return value, surface, where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
+    return multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
+
+
+@njit(inline="always", borrows=True)
+def _flying(told, nearest, farthest, half_flying, quarter_flying, constants):
+    """Return the density of pixels that fly: the twin of `flying_density`, times the share that does."""
+    zero = constants[7]
+    within = divide(half_flying, subtract(farthest, nearest))
+    within = where_at_least(told, nearest, where_at_least(farthest, told, within, zero), zero)
+    on_one = add(_on_surface(told, nearest, constants), _on_surface(told, farthest, constants))
+    return multiply_add(quarter_flying, on_one, within)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
@@ -345,29 +364,46 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     depth = images[DEPTH + half]
     lost, lost_edge = parameters[MISSING], parameters[MISSING_EDGE]
-    edges = lost != lost_edge  # else it makes no difference where they are
+    flying = parameters[FLYING]
+    edges = lost != lost_edge or flying > 0.0  # else it makes no difference where they are
     if not edges and parameters[GROWTH] == 0.0:
         return _score_even(parameters, images, half, left, right, top, bottom)
     constants = _constants(parameters)
     found_score, found_score_edge = np.float32(math.log1p(-lost)), np.float32(math.log1p(-lost_edge))
     lost_score, lost_score_edge = np.float32(math.log(lost)), np.float32(math.log(lost_edge))
-    step = splat(np.float32(parameters[EDGE_STEP]))
-    zero = splat(np.float32(0))
+    step, zero, stays = splat(np.float32(parameters[EDGE_STEP])), splat(np.float32(0)), splat(np.float32(1.0 - flying))
+    half_flying = splat(np.float32(0.5 * flying))
+    quarter_flying = splat(np.float32(0.25 * flying / (1.0 - parameters[OUTLIER])))  # `_on_surface` has that factor
     for row in range(top, bottom):
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         for column in range(left, right, LANES):
-            value, surface, outliers = _mixture(load(observed, row, column), load(score, row, column), constants)
-            density = logarithm(add(surface, outliers))
+            told = load(observed, row, column)
+            value, surface, outliers = _mixture(told, load(score, row, column), constants)
+            density = add(surface, outliers)
             found, missed = splat(found_score), splat(lost_score)
             if edges:
                 here = load(depth, row, column)
-                twice = add(here, here)
-                along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)
-                down = subtract(add(load(depth, above, column), load(depth, below, column)), twice)
+                west, east = load(depth, row, column - 1), load(depth, row, column + 1)
+                north, south = load(depth, above, column), load(depth, below, column)
+                along, down = subtract(add(west, east), add(here, here)), subtract(add(north, south), add(here, here))
                 bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
                 found = where_at_least(zero, bend, found, splat(found_score_edge))
                 missed = where_at_least(zero, bend, missed, splat(lost_score_edge))
-            result = where_at_least(zero, value, missed, add(density, found))  # a missing pixel's value is 0
+                if flying > 0.0:  # the twin of `near_edges`
+                    first, last = load(depth, above, column - 1), load(depth, below, column + 1)
+                    third, fourth = load(depth, above, column + 1), load(depth, below, column - 1)
+                    falling, rising = add(first, last), add(third, fourth)
+                    falling, rising = subtract(falling, add(here, here)), subtract(rising, add(here, here))
+                    bend = maximum(bend, subtract(maximum(absolute(falling), absolute(rising)), step))
+                    nearest, farthest = minimum(west, east), maximum(west, east)
+                    nearest = minimum(minimum(nearest, minimum(north, south)), here)
+                    farthest = maximum(maximum(farthest, maximum(north, south)), here)
+                    nearest = minimum(nearest, minimum(minimum(first, last), minimum(third, fourth)))
+                    farthest = maximum(farthest, maximum(maximum(first, last), maximum(third, fourth)))
+                    flies = _flying(told, nearest, farthest, half_flying, quarter_flying, constants)
+                    mixed = multiply_add(stays, density, flies)
+                    density = where_at_least(zero, bend, density, where_at_least(told, zero, mixed, density))
+            result = where_at_least(zero, value, missed, add(logarithm(density), found))  # a missing pixel's value is 0
             result = where_at_least(value, zero, result, zero)  # NaN: the padding
             old = accumulate(old, load(current, row, column))
             store(score, row, column, result)

@@ -29,7 +29,7 @@ WHOLE, BLURS = 16, 17
 GAUSSIAN, ROBUST, CORRELATED = range(3)  # values of settings[LIKELIHOOD]
 # entries of `parameters` (float64): camera, likelihood; those of the others follow, see their scores
 FX, FY, CX, CY, SIGMA, BACKGROUND, OBSERVED = range(7)
-LIKELIHOOD_PARAMETERS, PARAMETERS = 7, 14
+LIKELIHOOD_PARAMETERS, PARAMETERS = 7, 15
 # images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes,
 # and under CORRELATED what its scores need
 OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)

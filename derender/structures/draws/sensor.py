@@ -1,7 +1,8 @@
 """What the image says about the sensor: noise, its growth with depth, blur, outliers, given a first explanation."""
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.correlated import independent_share, innovations, shown_share
-from derender.render.likelihoods.pixelwise import noise_at, surface_density
+from derender.render.likelihoods.pixelwise import flying_density, near_edges, noise_at, surface_density
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.solids import PLANE, Solids
@@ -37,6 +38,9 @@ BACKGROUND = 10.0  # metres to the wall behind everything, where the image shows
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: of pixels beyond it, only that nothing stands before that is believed
+EDGE = 0.025  # of the median depth: neighbours whose depths bend by more lie at an edge, where pixels may fly
+FLYING_ROUNDS = 8  # of Dempster, Laird and Rubin's EM
+FLYING_GAIN = 10.0  # nats by which some have to explain an image better than none, or none do
 NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and hardly anything that it does not explain
 
 
@@ -102,7 +106,8 @@ class Sensor(NamedTuple):
 
     def noise(self, clean: np.ndarray, believed: LikelihoodPrior | None = None) -> "Noise":
         """Return the Noise that the first view beside a clean depth (H, W) tells under its likelihood's type."""
-        held = {**held_by(self.prior), "background": self.values.get("background", BACKGROUND)}
+        kept = {"flying": self.values.get("flying", 0.0), "background": self.values.get("background", BACKGROUND)}
+        held = held_by(self.prior) | kept
         return Noise(self.observed, clean, held, believed, outliers=self.likelihood.name != "gaussian")
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
@@ -182,7 +187,7 @@ def first_sensor(
     held = {**behind_all(wall), **({} if shares_noise(prior) else held_by(prior))}
     clean = model_depth(chart, values, camera, into, held["background"])
     observed = cut_off(observed, clean)
-    noise = Noise(observed, clean, held)
+    noise = Noise(observed, clean, {"flying": 0.0, **held})  # before edges are where they are all pixels there fly
     best = max((noise.fitted(blurred, (FIRST_OUTLIERS,)) for blurred in BLURS), key=itemgetter(0))
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
@@ -240,7 +245,8 @@ def better_blur(at: float, density: Callable[[float], float]) -> float:
     return at
 
 
-class Noise(NamedTuple):
+@dataclass(frozen=True)
+class Noise:
     """What says which noise there is: an image beside the clean depth of a scene, and what is known of the sensor.
 
     observed : (H, W) metres, see Sensor. clean : (H, W) metres, with the wall behind. held : numbers that are known.
@@ -264,6 +270,37 @@ class Noise(NamedTuple):
         """The image at the pixels looked at, NaN where it does not show the scene."""
         return shown(self.observed)[:: self.every, :: self.every]
 
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Which of the pixels looked at show the scene."""
+        return np.isfinite(self.known)
+
+    @cached_property
+    def edge_step(self) -> float:  # metres
+        return float(np.clip(EDGE * np.median(self.clean), 1e-4, 100.0))
+
+    @cached_property
+    def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which of the pixels seen lie at an edge, (n,) bool; the nearest and the farthest depth beside those (e,)."""
+        edge, *sides = (
+            each[:: self.every, :: self.every][self.seen] for each in near_edges(self.clean, self.edge_step)
+        )
+        return edge, sides[0][edge], sides[1][edge]
+
+    def flying(self, numbers: Mapping[str, float]) -> np.ndarray:
+        """Return the densities (e,) of the pixels at edges if they fly, see `flying_density`."""
+        edge, nearest, farthest = self.edges
+        return flying_density(self.known[self.seen][edge], nearest, farthest, numbers)
+
+    def share_flying(self, flies: np.ndarray, stays: np.ndarray) -> float:
+        """Return the share of pixels at edges that fly, given densities (e,) if they do and if not; few are none."""
+        if "flying" in self.held or not len(flies):
+            return self.held.get("flying", 0.0)
+        share = 0.5
+        for _ in range(FLYING_ROUNDS):
+            share = float(np.mean(share * flies / (share * flies + (1.0 - share) * stays)))
+        return share if np.log(share * flies / stays + 1.0 - share).sum() > FLYING_GAIN else 0.0
+
     def fitted(self, blurred: float, rates: tuple[float, ...] = RATES[:1]) -> tuple[float, str, dict[str, float]]:
         """Return (log density, name, numbers) of the likelihood with a blur of so many pixels, the noise fitted.
 
@@ -275,25 +312,33 @@ class Noise(NamedTuple):
         residual = self.known - model
         if not self.outliers:
             return self._normal(residual, blurred)
-        sigma, growth = noise_of(residual, model)
+        sigma, growth = noise_of(residual[self.seen], model[self.seen])
         missing = float(np.clip(np.mean(np.isnan(self.observed)), LEAST_MISSING, MOST_MISSING))
         numbers = {"sigma": sigma, "sigma_growth": growth, "blur": blurred, "missing": missing,
-                   "missing_edge": missing, "background": BACKGROUND}  # fmt: skip
+                   "missing_edge": missing, "edge_step": self.edge_step,
+                   "background": BACKGROUND}  # fmt: skip
         numbers |= {name: self.held[name] for name in numbers if name in self.held} | outlier_range(self.observed)
-        seen = np.isfinite(residual)
-        surface = surface_density(residual[seen], noise_at(model[seen], numbers))
+        surface = surface_density(residual[self.seen], noise_at(model[self.seen], numbers))
         found = []
         for outlier in (self.held["outlier"],) if "outlier" in self.held else rates:
             told = {**numbers, "outlier": outlier}
-            found.append((mixture_density(surface, told) + log_prior_of(self.believed, told), "robust", told))
+            stays = mixed_density(surface, told)
+            told["flying"] = self.share_flying(self.flying(told), stays[self.edges[0]])
+            found.append((self.density(stays, told) + log_prior_of(self.believed, told), "robust", told))
         return max(found, key=itemgetter(0))
+
+    def density(self, stays: np.ndarray, numbers: Mapping[str, float]) -> float:
+        """Return the log density of the pixels seen, (n,) that if none flies, under a robust likelihood."""
+        if (share := numbers["flying"]) > 0.0:
+            stays, edge = stays.copy(), self.edges[0]
+            stays[edge] = (1.0 - share) * stays[edge] + share * self.flying(numbers)
+        return float(np.log(stays).sum())
 
     def _normal(self, residual: np.ndarray, blurred: float) -> tuple[float, str, dict[str, float]]:
         """Return what `fitted` does of a normal likelihood."""
-        seen = np.isfinite(residual)
-        square = float(np.nanmean(residual**2)) if seen.any() else 0.0
+        square = float(np.nanmean(residual**2)) if self.seen.any() else 0.0
         sigma = self.held.get("sigma", float(np.clip(np.sqrt(square), LEAST_SIGMA, MOST_SIGMA)))
-        density = -int(seen.sum()) * (0.5 * square / sigma**2 + np.log(sigma) + 0.5 * np.log(2.0 * np.pi))
+        density = -int(self.seen.sum()) * (0.5 * square / sigma**2 + np.log(sigma) + 0.5 * np.log(2.0 * np.pi))
         numbers = {"sigma": sigma, "blur": blurred, "background": self.held.get("background", BACKGROUND)}
         return density + log_prior_of(self.believed, numbers), "gaussian", numbers
 
@@ -302,14 +347,13 @@ class Noise(NamedTuple):
         for near blurs are compared so at a fifth of the work of a fit; a normal one's noise is fitted."""
         if not self.outliers:
             return lambda blurred: self.fitted(blurred)[0]
-        known = self.known
-        seen = np.isfinite(known)
-        told = known[seen]
+        told = self.known[self.seen]
 
         def density(blurred: float) -> float:
-            model = self.model(blurred)[seen]
+            model = self.model(blurred)[self.seen]
             own = log_prior_of(self.believed, {**numbers, "blur": blurred})
-            return mixture_density(surface_density(told - model, noise_at(model, numbers)), numbers) + own
+            stays = mixed_density(surface_density(told - model, noise_at(model, numbers)), numbers)
+            return self.density(stays, numbers) + own
 
         return density
 
@@ -318,7 +362,7 @@ class Noise(NamedTuple):
     ) -> tuple[float, str, dict[str, float]]:
         """Return what `fitted` does with the blur near the best of `blurs`, improved by steps of so many pixels.
         rates : of outliers, the first while the blur is sought."""
-        robust = self._replace(outliers=True)
+        robust = replace(self, outliers=True)
         best = max((robust.fitted(blurred, rates[:1]) for blurred in blurs), key=itemgetter(0))
         at, density = best[2]["blur"], robust.by_blur(best[2])
         for step in () if "blur" in self.held else steps:
@@ -336,10 +380,10 @@ def noise_told_by(
     return Noise(observed, clean, {**held_by(prior), "background": wall}, every=every, outliers=not normal)
 
 
-def mixture_density(surface: np.ndarray, numbers: Mapping[str, float]) -> float:
-    """Return the log density of depths whose surface_density (n,) this is, outliers counted."""
+def mixed_density(surface: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
+    """Return the densities (n,) of depths whose surface_density this is, outliers counted."""
     outlier = numbers["outlier"]
-    return float(np.log((1.0 - outlier) * surface + outlier / (numbers["far"] - numbers["near"])).sum())
+    return (1.0 - outlier) * surface + outlier / (numbers["far"] - numbers["near"])
 
 
 def outlier_range(observed: np.ndarray) -> dict[str, float]:
@@ -368,6 +412,7 @@ def whole_sensor(
     scene = model_depth(chart, values, camera, sensor.into, wall)
     observed = cut_off(whole, scene)
     noise = noise_told_by(observed, scene, sensor.prior, wall, every)
+    noise = replace(noise, held={"flying": sensor.values.get("flying", 0.0), **noise.held})
     _, name, told = noise.with_blur(blurs, RATES, LAST_STEPS)
     return sensor._replace(camera=camera, observed=observed, beside=None).changed(name, **told)
 
