@@ -20,7 +20,7 @@ from derender.atomic import write_text
 from derender.camera.camera_file import read_camera
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError, at_fault
-from derender.registry import suggest
+from derender.registry import Parameter, suggest
 from derender.scene.codec.scene_file import KEYS, read_prior
 from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml, to_yaml
 from derender.scene.distributions import Distribution
@@ -42,10 +42,12 @@ class LikelihoodPrior:
 
     type : registered name ("gaussian", "robust").
     values : number or distribution by parameter name; what is left out has the type's default.
+    drawn : the same of a field of noise by which images are drawn, see `Correlated.field`; empty: by the density.
     """
 
     type: str = "gaussian"
     values: Mapping[str, Value] = field(default_factory=dict)
+    drawn: Mapping[str, Value] = field(default_factory=dict)
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """Return a number for each parameter given."""
@@ -76,8 +78,11 @@ class LikelihoodPrior:
 
     def to_data(self) -> dict[str, Any]:
         """Return what stands under `likelihood:`."""
-        plain = {k: {v.name: list(v.parameters)} if isinstance(v, Distribution) else v for k, v in self.values.items()}
-        return {"type": self.type, **plain}
+
+        def plain(values: Mapping[str, Value]) -> dict[str, Any]:
+            return {k: {v.name: list(v.parameters)} if isinstance(v, Distribution) else v for k, v in values.items()}
+
+        return {"type": self.type, **plain(self.values), **({"drawn": plain(self.drawn)} if self.drawn else {})}
 
 
 @dataclass(frozen=True)
@@ -207,14 +212,22 @@ def _read_likelihood(node: Node) -> LikelihoodPrior:
 
     section = node.section()
     kind = section["type"].text(likelihoods)
-    parameters = {parameter.name: parameter for parameter in likelihoods[kind].parameters}
-    section.allow("type", *parameters)
+    known, of_field = likelihoods[kind].known, likelihoods[kind].of_field
+    section.allow("type", *known, *(["drawn"] if of_field else []))
+    drawn = section["drawn"].section() if "drawn" in section else None
+    if drawn is not None:
+        drawn.allow(*of_field)
+    return LikelihoodPrior(kind, _read_numbers(section, known), {} if drawn is None else _read_numbers(drawn, known))
+
+
+def _read_numbers(section: Section, known: Mapping[str, Parameter]) -> dict[str, Value]:
+    """Read the numbers or distributions of a likelihood's known parameters."""
     values = {}
     for key, item in section.items():
-        if key != "type":
-            values[key] = read_value(item, parameters[key].unit)
-            check_range(values[key], parameters[key], item)
-    return LikelihoodPrior(kind, values)
+        if key in known:
+            values[key] = read_value(item, known[key].unit)
+            check_range(values[key], known[key], item)
+    return values
 
 
 def document_text(

@@ -18,8 +18,9 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
 
     Writes its numbers as a prior, under `likelihood: {type: correlated}`: noise and how it grows with depth, how much
     of it each pixel has for itself, how far the rest reaches along rows and columns, how heavy its tails are.
-    `derender sample` draws from the file; data/sensors has four kinds of cameras. All frames must be of one camera;
-    several, from different distances, tell how the noise grows.
+    `derender sample` draws from the file noise that scatters as the frames' does, by the numbers under `drawn:`;
+    data/sensors has four kinds of cameras. All frames must be of one camera; several, from different distances, tell
+    how the noise grows.
 
     \b
     Examples:

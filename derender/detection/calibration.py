@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,12 @@ from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
 from derender.detection.rounding import least_step
 from derender.detection.solids.beliefs import any_sensor, log_prior_of
+from derender.document import FORMAT
 from derender.errors import DerenderError
-from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
+from derender.render.likelihoods.correlated import NEIGHBOURS, RATE, SHARE, SPIKE, Correlated, covariance, innovations
+from derender.render.likelihoods.pixelwise import noise_at
 from derender.render.raycast.evaluator import DepthEvaluator
+from derender.scene.codec.yaml_tree import to_yaml
 
 NOISE = Correlated()
 LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
@@ -31,14 +34,18 @@ BEFORE = 1e-3  # share of outliers where the simplex begins
 # Of a number whose logarithm is taken, where it begins; less growth makes no difference, and a search stays there.
 LEAST, LEAST_GROWTH = 1e-5, 3e-4
 KNOWN, DRAWS = 0.3, 20.0  # spread of the logarithm, and draws that a share's beta density is worth, in the next frames
+LAGS = (1, 2, 4, 8)  # pixels apart at which a field of noise has to correlate as frames do
+NEVER_LESS = 6.5  # such spreads above the least that a number may be: what is believed of it does not go below
 NORMAL_99 = 2.5758  # standard deviations that a normal number exceeds once in a hundred
 
 
 class Fit(NamedTuple):
-    """values : numbers of the likelihood `correlated`. pixels : looked at. correlation : of neighbours as they come,
-    and the greatest of those when whitened; beyond : 99 % quantile of whitened residuals, times the normal's."""
+    """values : numbers of the likelihood `correlated`; drawn : of a field of noise that scatters as frames do. pixels :
+    looked at. correlation : of neighbours as they come, and the greatest of those when whitened; beyond : 99 % quantile
+    of whitened residuals, times the normal's."""
 
     values: dict[str, float]
+    drawn: dict[str, float]
     pixels: int
     correlation: tuple[float, float]
     beyond: float
@@ -105,10 +112,33 @@ def fit_sensor(
         progress(again / AGAIN)
     white = [NOISE.whitened(depth + residual, depth, values) for residual, depth in pairs]
     every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
-    return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin, *also)}, int(every.size),
+    return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin, *also)}, field_of(pairs), every.size,
                (correlation([residual for residual, _ in pairs], 0, 1),
                 max((correlation(white, *neighbour) for neighbour in NEIGHBOURS), key=abs)),
                float(np.quantile(every, 0.99)) / NORMAL_99)  # fmt: skip
+
+
+def field_of(pairs: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
+    """Return the numbers of a `Correlated.field` that scatters and correlates as frames do; pairs : see fit_sensor."""
+    from scipy.optimize import least_squares
+
+    residual, depth = (np.concatenate([image.ravel() for image in images]) for images in zip(*pairs, strict=True))
+    noise = dict(zip(("sigma", "sigma_growth"), noise_of(residual, depth), strict=True))
+    within = [
+        np.where(np.abs(off) < SPIKE * noise_at(at, noise), off / noise_at(at, noise), np.nan) for off, at in pairs
+    ]
+    rows, columns = np.array([(lag, 0) for lag in LAGS] + [(0, lag) for lag in LAGS]).T
+    told = np.array([correlation(within, *way) for way in zip(rows, columns, strict=True)])
+
+    def numbers(free: np.ndarray) -> dict[str, float]:
+        return {"white": free[0], "reach": math.exp(free[1]), "reach_down": math.exp(free[2])}
+
+    found = least_squares(lambda free: covariance(rows, columns, numbers(free)) - told, [0.5, 0.0, 0.0],
+                          bounds=([SHARE[0], -3.0, -3.0], [SHARE[1], 5.0, 5.0])).x  # fmt: skip
+    seen = np.isfinite(residual)
+    kept, depths = sum(np.isfinite(image).sum() for image in within), (depth + residual)[seen]
+    outlier = max(1.0 - kept / seen.sum(), RATE[0])
+    return {**noise, **numbers(found), "outlier": outlier, "near": float(depths.min()), "far": float(depths.max())}
 
 
 def middle_columns(residual: np.ndarray, depth: np.ndarray, pixels: float) -> tuple[np.ndarray, np.ndarray]:
@@ -153,33 +183,35 @@ def likeliest(
 
 def correlation(images: list[np.ndarray], up: int, left: int) -> float:
     """Return the correlation of pixels of images (H, W), NaN where missing, with those some rows up, columns left."""
-    there = np.concatenate([np.pad(image, 2, constant_values=np.nan)[2 - up :, 2 - left :][: image.shape[0],
+    wide = max(up, abs(left))
+    there = np.concatenate([np.pad(image, wide, constant_values=np.nan)[wide - up :, wide - left :][: image.shape[0],
                             : image.shape[1]].ravel() for image in images])  # fmt: skip
     here = np.concatenate([image.ravel() for image in images])
     both = np.isfinite(here) & np.isfinite(there)
     return float(np.corrcoef(here[both], there[both])[0, 1]) if both.sum() > 2 else math.nan
 
 
+def written(*values: float) -> list[float]:
+    """Return numbers to the four digits that they are known to at most."""
+    return [float(f"{value:.4g}") for value in values]
+
+
 def sensor_text(fit: Fit, camera: Camera, frames: int) -> str:
     """Return the YAML of a sensor as a prior over its numbers, about those of the fit, seen on a bare table."""
-    believed = {}
+    believed: dict[str, Any] = {}
     for key, value in fit.values.items():
         if key in SHARES:
-            believed[key] = (f"{{beta: [{max(DRAWS * value, 0.5):.3g}, {max(DRAWS * (1.0 - value), 0.5):.3g}, "
-                             f"{SHARE[0]:.1e}, {SHARE[1]}]}}")  # fmt: skip
+            believed[key] = {"beta": [*written(max(DRAWS * value, 0.5), max(DRAWS * (1.0 - value), 0.5)), *SHARE]}
         else:
-            believed[key] = f"{{log-normal: [{value:.4g}, {KNOWN}]}}"
-    camera_line = ", ".join(f"{key}: {value}" for key, value in camera.to_dict().items() if key != "depth_scale")
-    lines = [
-        f"# The noise of a depth camera, from {frames} frame{'s' if frames > 1 else ''} of a bare table: "
-        f"{fit.pixels} pixels.",
-        "derender: 1",
-        f"camera: {{{camera_line}}}",
-        "root: {distance: {uniform: [0.5, 1.0]}, elevation: {uniform: [30 deg, 60 deg]}}",
-        "objects:",
-        "  table: {shape: plane, contact: {type: 6dof}}",
-        "likelihood:",
-        "  type: correlated",
-        *(f"  {key}: {text}" for key, text in believed.items()),
-    ]
-    return "\n".join(lines) + "\n"
+            least = NOISE.known[key].lower * math.exp(NEVER_LESS * KNOWN)
+            believed[key] = {"log-normal": [*written(max(value, least)), KNOWN]}
+    drawn = dict(zip(fit.drawn, written(*fit.drawn.values()), strict=True))
+    data = {
+        "derender": FORMAT,
+        "camera": {key: value for key, value in camera.to_dict().items() if key != "depth_scale"},
+        "root": {"distance": {"uniform": [0.5, 1.0]}, "elevation": {"uniform": ["30 deg", "60 deg"]}},
+        "objects": {"table": {"shape": "plane", "contact": {"type": "6dof"}}},
+        "likelihood": {"type": "correlated", **believed, "drawn": drawn},
+    }
+    seen = f"{frames} frame{'s' if frames > 1 else ''} of a bare table: {fit.pixels} pixels"
+    return f"# The noise of a depth camera, from {seen}.\n{to_yaml(data, {'objects': 1, 'likelihood': 1})}"

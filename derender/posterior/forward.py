@@ -11,6 +11,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import Document, LikelihoodPrior, document_text, write_document
 from derender.sampling.chains import SCENES, stream
 from derender.scene.graph import SceneGraph
+from derender.scene.priors.objects import draw
 from derender.scene.priors.reading import with_drawn_matter
 
 WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
@@ -58,8 +59,13 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
 
 
 def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodPrior | None) -> np.ndarray:
-    """Return an observation (H, W) of a clean depth image, drawn from the likelihood; NaN stays without a return."""
+    """Return an observation (H, W) of a clean depth image, drawn from the likelihood, or as a field of noise where that
+    says so; NaN stays without a return."""
     from derender.render.likelihoods import likelihoods
 
     likelihood = likelihood or LikelihoodPrior()
-    return likelihoods[likelihood.type].sample(rng, depth, likelihood.sample(rng))
+    kind: Any = likelihoods[likelihood.type]
+    values = likelihood.sample(rng)
+    if not likelihood.drawn:
+        return kind.sample(rng, depth, values)
+    return kind.field(rng, depth, {**values, **{name: draw(value, rng) for name, value in likelihood.drawn.items()}})

@@ -13,14 +13,23 @@ from derender.camera.intrinsics import Camera
 from derender.cli import group
 from derender.detection.calibration import Fit, correlation, fit_sensor, residuals, sensor_text
 from derender.document import document_from, read_document
+from derender.posterior.forward import observe
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import NEIGHBOURS, independent_share, innovations, prediction, shown_share
+from derender.render.likelihoods.correlated import (
+    NEIGHBOURS,
+    covariance,
+    independent_share,
+    innovations,
+    prediction,
+    shown_share,
+)
 from derender.scene.codec.yaml_tree import parse_yaml
 
 NOISE = likelihoods["correlated"]
 VALUES = NOISE.complete({"sigma": 0.01, "sigma_growth": 0.004, "step": 0.004, "step_growth": 0.001,
                          "white": 0.1, "reach": 3.0, "reach_down": 2.0,
                          "shared": 0.8, "clump": 0.5, "outlier": 0.1, "tail": 0.2, "alone": 0.15})  # fmt: skip
+CAMERA = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)
 SENSORS = sorted(data_path("sensors").glob("*.yaml"))
 STEP = np.where(np.arange(7) < 4, 0.8, 1.2)[None].repeat(5, axis=0)  # two surfaces, (5, 7)
 
@@ -304,11 +313,62 @@ def test_calibrate_tells_of_a_camera_that_nobody_gave_and_refuses_another(tmp_pa
 def test_what_calibrate_writes_is_a_prior_of_the_fit():
     camera = read_document(SENSORS[0]).camera
     held = ("sigma", "sigma_growth", "step", "step_growth", "white", "reach", "reach_down", "tail")
-    fit = Fit({key: VALUES[key] for key in held}, 1000, (0.9, 0.0), 1.0)
+    fit = Fit({key: VALUES[key] for key in held}, {}, 1000, (0.9, 0.0), 1.0)
     text = sensor_text(fit, camera, 2)
     document = document_from(parse_yaml(text.encode(), "mine.yaml"), data_path("sensors"))
     middle = {key: value.quantile(0.5) for key, value in document.likelihood.values.items()}
     assert middle == pytest.approx({**fit.values}, rel=0.15)
+
+
+def test_what_calibrate_writes_is_read_where_a_number_is_the_least():
+    """`1e-06` is text to YAML, and half of what was believed of such a step lay below what is allowed: of three in
+    seven real frames."""
+    fit = Fit({**VALUES, "step": 1e-6, "sigma": 1e-5}, {"sigma": 1e-5}, 1000, (0.9, 0.0), 1.0)
+    text = sensor_text(fit._replace(values={key: fit.values[key] for key in ("step", "sigma")}), CAMERA, 2)
+    document = document_from(parse_yaml(text.encode(), "mine.yaml"), data_path("sensors"))
+    assert document.likelihood.values["step"].quantile(0.5) < 1e-5 and document.likelihood.drawn == {"sigma": 1e-5}
+
+
+def scatter(residuals_of_frames):
+    """Return the robust deviation and the quantiles of residuals, how they correlate along rows and columns, and by how
+    many times they scatter more in the lower half of an image."""
+    every = np.stack(residuals_of_frames)
+    off = np.abs(every - np.nanmedian(every))
+    halves = [np.nanmedian(np.abs(half)) for half in np.split(every, 2, axis=1)]
+    return (
+        np.nanquantile(off, [0.5, 0.9, 0.99]),
+        [correlation(list(every), *way) for way in ((0, 1), (1, 0), (0, 2))],
+        (halves[1] / halves[0]),
+    )
+
+
+@pytest.mark.parametrize("kind", ["smooth", "white, with outliers"])
+def test_what_calibrate_writes_draws_noise_like_that_of_the_frames(kind):
+    """The density's own draws scattered four times as much: they drift, and their outliers were carried on."""
+    rng, depth = np.random.default_rng(8), np.linspace(0.5, 1.0, 96)[:, None].repeat(128, axis=1)
+
+    def frame():
+        field = rng.standard_normal(depth.shape)
+        if kind == "smooth":
+            field = gaussian_filter(field, (1.0, 2.0))
+        noise = (0.0005 + 0.004 * depth**2) * field / field.std()
+        return noise if kind == "smooth" else np.where(rng.random(depth.shape) < 0.005, 0.3, noise)
+
+    frames = [frame() for _ in range(4)]
+    text = sensor_text(fit_sensor([(each, depth) for each in frames]), CAMERA, 2)
+    likelihood = document_from(parse_yaml(text.encode(), "mine.yaml"), data_path("sensors")).likelihood
+    seen, drawn = scatter(frames), scatter([observe(rng, depth, likelihood) - depth for _ in range(4)])
+    assert drawn[0] == pytest.approx(seen[0], rel=0.1)
+    assert drawn[1] == pytest.approx(seen[1], abs=0.1) and drawn[2] == pytest.approx(seen[2], rel=0.1)
+
+
+def test_a_field_of_noise_has_the_covariance_that_is_said():
+    depth, rng = np.full((120, 160), 0.8), np.random.default_rng(9)
+    values = {**VALUES, "outlier": 1e-9, "white": 0.3}
+    fields = [NOISE.field(rng, depth, values) - depth for _ in range(40)]
+    assert np.std(fields) == pytest.approx(0.01 + 0.004 * 0.8**2, rel=0.02)
+    for way in ((0, 1), (1, 0), (2, 1), (0, 4)):
+        assert correlation(fields, *way) == pytest.approx(covariance(*map(np.array, way), values), abs=0.01)
 
 
 def test_a_chain_may_go_wherever_a_reach_leads():

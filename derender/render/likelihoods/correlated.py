@@ -24,6 +24,7 @@ from derender.render.likelihoods.pixelwise import (
     blurred_depth,
     likelihoods,
     mixture,
+    noise_at,
 )
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # (rows up, columns to the left) of the earlier ones
@@ -72,6 +73,8 @@ class Correlated(Likelihood):
     The product of all pixels' densities given earlier ones integrates to one for each set of pixels that return. One
     without a return is evidence of nothing. One that holds minus a depth shows what is no part of the scene: see
     `robust`. Files in data/sensors give it under `likelihood:`. So may a scene, or a copy of the prior bare-image.
+
+    Images are drawn from that density unless `drawn:` says by which numbers of a field they are, as calibrate does.
     """
 
     parameters = (
@@ -96,6 +99,7 @@ class Correlated(Likelihood):
     code = 2
     scored = ("sigma_growth", "outlier", "near", "far", "shared", "clump")
     of_image = ("step", "step_growth", "white", "reach", "reach_down", "fading", "tail", "alone")
+    of_field = ("sigma", "sigma_growth", "white", "reach", "reach_down", "outlier", "near", "far")
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""
@@ -154,6 +158,23 @@ class Correlated(Likelihood):
         result, numbers = np.zeros([side + 4 for side in depth.shape]), np.array([values[name] for name in names])
         draw(rng, result, blurred_depth(depth, values), numbers, *prediction(values))
         result = result[2:-2, 2:-2]
+        return np.where(result > 0.0, result, np.nan)
+
+    def field(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
+        """Draw an image (H, W) whose noise is one normal field of that covariance about its surfaces, but for outliers.
+
+        As that of cameras is. It is not the density's own: pixels that know nothing of their surface drift from it, so
+        that the numbers that explain frames best draw several times their noise. On a torus of twice the size, by the
+        spectrum (Wood and Chan, Journal of Computational and Graphical Statistics, 1994).
+        """
+        values = self.complete(values)
+        model, sides = blurred_depth(depth, values), tuple(2 * side for side in depth.shape)
+        rows, columns = (np.minimum(np.arange(side), side - np.arange(side)) for side in sides)
+        spectrum = np.maximum(np.fft.rfft2(covariance(rows[:, None], columns[None], values)).real, 0.0)
+        unit = np.fft.irfft2(np.sqrt(spectrum) * np.fft.rfft2(rng.standard_normal(sides)), sides)
+        result = model + noise_at(model, values) * unit[: depth.shape[0], : depth.shape[1]]
+        anywhere = rng.uniform(values["near"], values["far"], depth.shape)
+        result = np.where(rng.random(depth.shape) < values["outlier"], anywhere, result)
         return np.where(result > 0.0, result, np.nan)
 
 

@@ -35,6 +35,7 @@ class Likelihood:
     code: int  # which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED)
     scored: tuple[str, ...] = ()  # names of the type's own numbers that the engine's score reads, in its order
     of_image: tuple[str, ...] = ()  # names of the numbers on which `beside` depends
+    of_field: tuple[str, ...] = ()  # names of the numbers of a field of noise, where images can be drawn as one
 
     @cached_property
     def known(self) -> dict[str, Parameter]:
