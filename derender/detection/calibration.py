@@ -200,7 +200,11 @@ def sensor_text(fit: Fit, camera: Camera, frames: int) -> str:
     """Return the YAML of a sensor as a prior over its numbers, about those of the fit, seen on a bare table."""
     believed: dict[str, Any] = {}
     for key, value in fit.values.items():
-        if key in SHARES:
+        if key == "white":  # as well known as a reach is; what a table shows of tails says little of other scenes
+            value = max(value, SHARE[0] * math.exp(NEVER_LESS * KNOWN))
+            worth = 1.0 / (KNOWN**2 * min(value, 1.0 - value))  # draws that tell the lesser side so well
+            believed[key] = {"beta": [*written(worth * value, worth * (1.0 - value)), *SHARE]}
+        elif key in SHARES:
             believed[key] = {"beta": [*written(max(DRAWS * value, 0.5), max(DRAWS * (1.0 - value), 0.5)), *SHARE]}
         else:
             least = NOISE.known[key].lower * math.exp(NEVER_LESS * KNOWN)

@@ -323,10 +323,12 @@ def test_what_calibrate_writes_is_a_prior_of_the_fit():
 def test_what_calibrate_writes_is_read_where_a_number_is_the_least():
     """`1e-06` is text to YAML, and half of what was believed of such a step lay below what is allowed: of three in
     seven real frames."""
-    fit = Fit({**VALUES, "step": 1e-6, "sigma": 1e-5}, {"sigma": 1e-5}, 1000, (0.9, 0.0), 1.0)
-    text = sensor_text(fit._replace(values={key: fit.values[key] for key in ("step", "sigma")}), CAMERA, 2)
+    fit = Fit({"step": 1e-6, "sigma": 1e-5, "white": 1e-5}, {"sigma": 1e-5}, 1000, (0.9, 0.0), 1.0)
+    text = sensor_text(fit, CAMERA, 2)
     document = document_from(parse_yaml(text.encode(), "mine.yaml"), data_path("sensors"))
+    white = document.likelihood.values["white"]
     assert document.likelihood.values["step"].quantile(0.5) < 1e-5 and document.likelihood.drawn == {"sigma": 1e-5}
+    assert white.quantile(0.9) < 2.0 * white.quantile(0.5)  # a thousand times more was left open, and chains got stuck
 
 
 def scatter(residuals_of_frames):
