@@ -25,6 +25,7 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.backend import Backend, backend_of
 from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, steps_of
 from derender.posterior.space import Space
+from derender.posterior.target import OF_IMAGE
 from derender.sampling.chains import Segment
 from derender.sampling.metropolis import adapted_scale, mean_scale
 from derender.scene.priors.terms import MOST_TRIES
@@ -157,7 +158,8 @@ class MixtureSampler:
         if self.population <= 1:
             backend = self.backend()
             return np.array([importance_resampling(rng, space, backend, self.particles) for _ in range(WALKS)])
-        walking = [part for part in self.parts if part.type in LOCAL] or self.parts
+        walking = [part._replace(weight=part.weight * (RARELY if part.block.name == OF_IMAGE else 1.0))
+                   for part in self.parts if part.type in LOCAL] or self.parts  # fmt: skip
         local = backend_of(self.target, walking)
         found = in_threads(rng, [
             partial(tempered, space=space, backend=local.twin(), parts=walking, particles=self.population,
@@ -351,6 +353,7 @@ LOCAL = ("drift", "slide")  # kernels that move a starting population
 # Of the mixture, for each particle and temperature. One population of 32 found a tower of four cubes in 6 to 8 of 16
 # tries with 40 of them, in 13 to 16 with 100; and where all four missed it, chains agreed on a lesser mode.
 START_STEPS = 100
+RARELY = 0.1  # of its weight there, a kernel whose steps read the image anew: one takes as long as forty others
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
 # Temperature and rounds of the walks from there, one stage after the other: where the likelihood counts less narrow
 # modes are wide, and what all of them met leads the next walks, one object at a time, from one mode to others.

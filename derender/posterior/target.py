@@ -11,6 +11,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.posterior.space import Block, Space, Unknown
+from derender.render.likelihoods import likelihoods
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
@@ -18,12 +19,16 @@ from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes.base import EXTENTS, opposite
 from derender.scene.shapes.kinds import FACE_NAMES
 
+OF_IMAGE = "likelihood of the image"  # block of those of its numbers whose change reads the image anew
 
-def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribution] | None = None) -> Space:
+
+def scene_space(
+    prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribution] | None = None, apart: Sequence[str] = ()
+) -> Space:
     """Return the unknowns of a graph under its prior, in blocks: the root, each edge's contact, each object's shape.
 
     prior : has `free_addresses(graph)`.
-    likelihood : priors of the likelihood's unknowns by name.
+    likelihood : priors of the likelihood's unknowns by name. apart : names of those that are a block of their own.
 
     Raises DerenderError : there is no unknown.
     """
@@ -34,7 +39,8 @@ def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribu
     unknowns = [Unknown(address, law, period_of(graph, address, law)) for address, law in free.items()]
     members: dict[str, list[int]] = {}
     for i, unknown in enumerate(unknowns):
-        members.setdefault(block_name(unknown.address), []).append(i)
+        own = unknown.address.removeprefix("likelihood.") in apart
+        members.setdefault(OF_IMAGE if own else block_name(unknown.address), []).append(i)
     space = Space(unknowns, [Block(name, tuple(indices)) for name, indices in members.items()])
     known = {unknown.address for unknown in unknowns}
     space.slides = tuple(name for name in members if _can_slide(graph, name, known))
@@ -170,7 +176,8 @@ class SceneTarget:
     ) -> None:
         self.prior, self.template, self.images = prior, graph, images
         self.likelihood = dict(likelihood or {})
-        self.space = scene_space(prior, graph, self.likelihood)
+        apart = likelihoods[images.type].of_image if self.likelihood else ()
+        self.space = scene_space(prior, graph, self.likelihood, apart)
         self.root_prior = getattr(prior, "root", None)
         self.constraints = tuple(getattr(prior, "constraints", ()))
         self._index = {address: i for i, address in enumerate(self.space.addresses)}

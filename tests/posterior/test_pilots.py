@@ -16,7 +16,7 @@ from derender.posterior.kernels import mixture
 from derender.posterior.kernels.relocate import fitted, seen_place
 from derender.posterior.sampler import MixtureSampler, Population, Settings, Walk
 from derender.posterior.space import Block, Unknown
-from derender.posterior.target import default_parts
+from derender.posterior.target import OF_IMAGE, default_parts
 from derender.results.trust import FITS
 from derender.scene.distributions import distributions
 from derender.structures import given
@@ -96,6 +96,30 @@ def test_a_scene_that_leaves_something_unexplained_is_short_of_noise(type):
     for lost in (0, 8):  # columns without a return: of a pixel that tells nothing none is missed
         target.images.observed[:, :lost] = np.nan
         assert abs(short_of_noise(rng, target, truth)) < FITS < short_of_noise(rng, target, off)
+
+
+def test_populations_rarely_take_steps_that_read_the_whole_image_anew(monkeypatch):
+    """Noise that neighbours share, all its numbers unknown: four of five steps were such, each as long as forty
+    others, and `infer --scene` took over four minutes."""
+    noise = (
+        "correlated, sigma: {log-normal: [4 mm, 0.3]}, step: {log-normal: [2 mm, 0.3]}, reach: {log-normal: [3, 0.3]}"
+    )
+    world = SceneWorld(TOWER.replace("type: gaussian", f"type: {noise}").replace("sigma: 0.05, ", ""))
+    blocks = {block.name: [world.space.addresses[i] for i in block.unknowns] for block in world.space.blocks}
+    assert blocks["likelihood"] == ["likelihood.sigma"]
+    assert blocks[OF_IMAGE] == ["likelihood.step", "likelihood.reach"]
+    target, walked = world.target(np.random.default_rng(1), world.sample(np.random.default_rng(1))), []
+
+    def population(rng, space, backend, parts, particles, **asked):
+        walked.append({part.name: part.weight for part in parts})
+        return Population(np.zeros((particles, space.offsets[-1])), np.zeros((particles, 2)), 0.0)
+
+    monkeypatch.setattr(sampler, "tempered", population)
+    parts = mixture(target.space, default_parts())
+    MixtureSampler(target, parts, population=4).first_places(np.random.default_rng(2))
+    slow = f"drift {OF_IMAGE}"
+    usual = {part.name: part.weight for part in parts if part.type in sampler.LOCAL}
+    assert walked[0] == {**usual, slow: pytest.approx(0.1 * usual[slow])}
 
 
 @pytest.mark.parametrize(
