@@ -319,6 +319,10 @@ def paired(predicted: str | Path, truth: str | Path) -> list[tuple[str, Path, Pa
     for path in (left, right):
         if str(path) != "-" and not path.exists():
             raise DerenderError("there is no such file or folder", path, "check the path")
+        if (path / "track.json").exists():
+            raise DerenderError(
+                "this folder holds a film, and eval compares scenes", path, "give results of its frames"
+            )
     if _is_single(left) and _is_single(right):
         return [(left.stem if left.is_file() else left.name, left, right)]
     kinds = ((left, SCENE_SUFFIXES), (right, (*SCENE_SUFFIXES, *LABEL_SUFFIXES)))

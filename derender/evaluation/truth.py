@@ -149,6 +149,10 @@ def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, An
 
     Raises DerenderError : says which object lacks what.
     """
+    if any("poses" in item for item in tree["objects"] if isinstance(item, Mapping)):
+        raise DerenderError(
+            "this is a film, a pose for each frame", where, "give scenes, as `derender show --json` does"
+        )
     if wrong := misfit(tree, SCENE, "scene"):
         raise DerenderError(f"{wrong} is not as `derender show --json` has it", where)
     names = [item["name"] for item in tree["objects"]]

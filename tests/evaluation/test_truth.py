@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from derender.errors import DerenderError
-from derender.evaluation.metrics import add_s, compare_scenes, condition_of, pose_and_size_errors
+from derender.evaluation.metrics import add_s, compare_scenes, condition_of, paired, pose_and_size_errors
 from derender.evaluation.truth import checked_scene, read_json_scene, read_labels
 
 
@@ -152,3 +152,12 @@ def test_condition_of_scenes():
     alone = SCENE | {"objects": [FLOOR, box("a", 0, 0.25)]}
     assert condition_of(alone)["floating"] == ["a"]
     assert condition_of(alone | {"gravity": [0, 0, 0]})["stable"] is None
+
+
+def test_a_film_is_no_scene(tmp_path):
+    """It was called a folder of scenes, and its file was told to hold no pose as `show --json` has it."""
+    (tmp_path / "track.json").write_text(json.dumps({"objects": [{"name": "box_1", "poses": [None]}]}))
+    with pytest.raises(DerenderError, match="this folder holds a film, and eval compares scenes"):
+        paired(tmp_path, tmp_path / "track.json")
+    with pytest.raises(DerenderError, match="this is a film, a pose for each frame"):
+        read_json_scene(tmp_path / "track.json")
