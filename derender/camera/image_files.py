@@ -146,6 +146,9 @@ LEVEL = 4  # of compression: half the time of the usual 6 for files a sixth larg
 RAW = "give the raw depth image: one channel of 16-bit units or float metres, no picture to look at"
 STRETCHED, FEW_STEPS = 257, 8  # 8 bits become 16 by it; different depths that an image has at least
 ORIENTATION, TURNS_OF = 274, {1: 0, 3: 180, 6: 90, 8: 270}  # a tag of EXIF; degrees clockwise to turn it upright
+# Tags of TIFF, and a compression under which Pillow forgets a predictor.
+WIDE, TALL, BITS, COMPRESSION, STRIPS, STRIP_SIZES, PREDICTOR, SAMPLE_FORMAT = 256, 257, 258, 259, 273, 279, 317, 339
+PACKBITS = 32773
 SATURATED = 65535  # the largest 16-bit number: farther than the image can tell, or no return at all
 # What decoders raise on damaged files; anything else is a bug and shows its traceback.
 DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
@@ -263,6 +266,8 @@ def _decode_picture(data: bytes) -> Decoded:
         try:
             picture = stack.enter_context(Image.open(io.BytesIO(data), formats=("PNG", "TIFF")))
         except UnidentifiedImageError:
+            if (doubles := _doubles_of_tiff(data)) is not None:
+                return Decoded(doubles)
             remedy = "save a 16-bit .png or a float32 .tiff of one channel"
             raise DerenderError("the picture is damaged, cut off, or of a rare kind", remedy=remedy) from None
         except Image.DecompressionBombError:
@@ -273,6 +278,9 @@ def _decode_picture(data: bytes) -> Decoded:
             raise DerenderError("8 bits a pixel are too coarse for depth", remedy=RAW)
         if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
             raise DerenderError(f"this is a colour image ({picture.mode})", remedy=RAW)
+        tags = getattr(picture, "tag_v2", {})
+        if tags.get(COMPRESSION) == PACKBITS and tags.get(PREDICTOR, 1) != 1:
+            raise DerenderError("PackBits with a predictor is not read", remedy="save the .tiff without the predictor")
         pages = getattr(picture, "n_frames", 1)
         if pages > 1:
             raise DerenderError(f"the picture has {pages} pages", remedy="save the one that holds the depth by itself")
@@ -284,6 +292,24 @@ def _decode_picture(data: bytes) -> Decoded:
         if ORIENTATION not in picture.getexif():  # Pillow has turned it, as it does to a TIFF, but not its camera
             array = np.rot90(array, turn // 90)
     return Decoded(array.astype(array.dtype.newbyteorder("=")), turn=turn)
+
+
+def _doubles_of_tiff(data: bytes) -> np.ndarray | None:
+    """Return the (height, width) 64-bit floats of a .tiff, which Pillow does not read; None: it is something else, or
+    compressed, or tiled."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    stream, tags = io.BytesIO(data), ImageFileDirectory_v2(data[:8])
+    with contextlib.suppress(*DAMAGE), silence():
+        stream.seek(tags.next)
+        tags.load(stream)
+        plain = (tags[BITS], tags.get(SAMPLE_FORMAT), tags.get(COMPRESSION, 1)) == ((64,), (3,), 1)
+        if not plain or (shape := (tags[TALL], tags[WIDE])) and math.prod(shape) > MOST_PIXELS:
+            return None
+        parts = zip(tags[STRIPS], tags[STRIP_SIZES], strict=True)
+        pixels = b"".join(data[first : first + size] for first, size in parts)
+        return np.frombuffer(pixels, tags._endian + "f8").reshape(shape).astype(float)
+    return None
 
 
 def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes:

@@ -176,7 +176,6 @@ FAULTS = {
         lambda path: save(path, np.arange(48, dtype=np.uint16).reshape(6, 8) * 257),
         "8 bits a pixel, stretched to 16",
     ),
-    "double tiff": (lambda path: path.write_bytes((FILES / "tifffile_double.tiff").read_bytes()), "float32 .tiff"),
     "colour array": (lambda path: save(path, np.zeros((3, 4, 3), np.uint16)), "3 x 4 x 3; this looks like a colour"),
     "8-bit array": (lambda path: save(path, np.ones((3, 4), np.uint8)), "8 bits a pixel"),
     "flat array": (lambda path: save(path, np.ones(12)), "height x width"),
@@ -304,3 +303,47 @@ def test_a_nan_of_another_kind_is_no_warning():
     depth.view(np.uint32)[3, 4] = 0x7FA00000
     with warnings.catch_warnings(action="error"):
         assert np.isnan(read_depth(depth).depth[3, 4])
+
+
+def tiff(pixels, order="<", compression=1, predictor=None, kind=3):
+    """Return the bytes of a .tiff (H, W) of one strip: what Pillow does not write."""
+    (tall, wide), bits = pixels.shape, 8 * pixels.dtype.itemsize
+    more = [(317, 3, predictor)] if predictor else []
+    entries = [(256, 4, wide), (257, 4, tall), (258, 3, bits), (259, 3, compression), (262, 3, 1), (273, 4, 0),
+               (277, 3, 1), (278, 4, tall), (279, 4, 0), *more, (339, 3, kind)]  # fmt: skip
+    data = pixels.astype(pixels.dtype.newbyteorder(order)).tobytes()
+    if compression != 1:  # PackBits of runs of at most 128 bytes as they are
+        data = b"".join(bytes([len(data[k : k + 128]) - 1]) + data[k : k + 128] for k in range(0, len(data), 128))
+    first, lines = 8 + 2 + 12 * len(entries) + 4, b""
+    for tag, type, value in entries:
+        value = {273: first, 279: len(data)}.get(tag, value)
+        lines += struct.pack(
+            order + ("HHIHH" if type == 3 else "HHII"), tag, type, 1, value, *([0] if type == 3 else [])
+        )
+    head = b"II*\x00" if order == "<" else b"MM\x00*"
+    return head + struct.pack(order + "IH", 8, len(entries)) + lines + struct.pack(order + "I", 0) + data
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_a_tiff_of_64_bit_floats_is_read(tmp_path, order):
+    """numpy's own floats, as tifffile writes them: Pillow reads none, and the file was called damaged."""
+    depth = np.linspace(0.5, 1.5, 48 * 64).reshape(48, 64)
+    (tmp_path / "depth.tiff").write_bytes(tiff(depth, order))
+    assert np.array_equal(read_depth(tmp_path / "depth.tiff", Camera(60, 60, 31.5, 23.5, 64, 48)).depth, depth)
+    assert read_depth(FILES / "tifffile_double.tiff").depth.dtype == float
+    for wrong in (tiff(depth, order)[:-8], tiff(depth, order)[:40], tiff(depth, order, compression=32773)):
+        (tmp_path / "depth.tiff").write_bytes(wrong)
+        with pytest.raises(DerenderError, match="the picture is damaged, cut off, or of a rare kind"):
+            read_depth(tmp_path / "depth.tiff")
+
+
+def test_packbits_with_a_predictor_is_refused(tmp_path):
+    """Pillow forgets the predictor: differences were taken for depths."""
+    units = (1000 + np.arange(48 * 64).reshape(48, 64)).astype(np.uint16)
+    for predictor, words in ((None, ""), (2, "PackBits with a predictor is not read")):
+        (tmp_path / "depth.tiff").write_bytes(tiff(units, compression=32773, predictor=predictor, kind=1))
+        if not words:
+            assert np.allclose(read_depth(tmp_path / "depth.tiff").depth, units / 1000)
+            continue
+        with pytest.raises(DerenderError, match=words):
+            read_depth(tmp_path / "depth.tiff")
