@@ -5,10 +5,12 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 `Reading` says with which camera and unit they are read, turned, without the pixels that the sensor itself doubts.
 """
 
+import base64
 import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +32,7 @@ from derender.camera.image_files import (
     encode_npz,
     encode_png,
     encode_tiff,
+    png_bytes,
     read_bytes,
     read_numbers,
     recognise,
@@ -39,6 +42,7 @@ from derender.camera.ros_bag import is_bag, read_frame
 from derender.errors import DerenderError, at_fault
 from derender.registry import only_its_keywords
 
+SHOWN_WIDTH = 240  # pixels of a picture in a notebook
 TURNS = (0, 90, 180, 270)  # degrees clockwise
 FARTHEST = 1000.0  # metres; farther than any depth camera sees: the sky, where a renderer's ray hits nothing
 FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
@@ -67,6 +71,17 @@ class DepthImage(NamedTuple):
         guess = ", its camera a guess" if self.camera_is_guess else ""
         size = " x ".join(map(str, depth.shape[::-1]))
         return f"<DepthImage: {size}, {depths} in {known.size / max(depth.size, 1):.0%} of it{guess}>"
+
+    def _repr_html_(self) -> str:
+        every = max(1, np.shape(self.depth)[1] // SHOWN_WIDTH)
+        depth = np.asarray(self.depth)[::every, ::every]
+        seen = np.isfinite(depth)
+        near, far = np.quantile(depth[seen], (0.01, 0.99)) if seen.any() else (0.0, 1.0)
+        part = np.clip((np.where(seen, depth, far) - near) / max(far - near, 1e-9), 0.0, 1.0)
+        grey = np.where(seen, 255 - 215 * part, 0).astype(np.uint8)  # the nearer the lighter, black: no return
+        picture = base64.b64encode(png_bytes(np.repeat(grey[..., None], 3, axis=2))).decode()
+        words, style = escape(repr(self)), f"width:{SHOWN_WIDTH}px"
+        return f'<div><img src="data:image/png;base64,{picture}" alt="{words}" style="{style}"><br>{words}</div>'
 
 
 @only_its_keywords

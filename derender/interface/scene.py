@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from derender.camera.depth_file import DepthImage
+from derender.camera.depth_file import SHOWN_WIDTH, DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, document_text, write_document
 from derender.posterior.forward import HEIGHT, WIDTH
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     import trimesh
 
     from derender.interface.functions import Acts, Simulation
-
-SHOWN_WIDTH = 240  # pixels of a picture in a notebook
 
 
 @dataclass(frozen=True, repr=False)

@@ -155,6 +155,9 @@ def test_a_depth_image_made_of_lists_and_keys_is_one(image):
     """Its repr failed on rows, and inference on a mapping that Camera is made of, or on no camera, after the search."""
     depth = np.nan_to_num(image.depth).tolist()
     made = derender.DepthImage(depth, image.camera.to_dict())
+    assert made._repr_html_().startswith('<div><img src="data:image/png;base64,') and "&lt;DepthImage: 64 x 48" in (
+        made._repr_html_()
+    )
     assert repr(made).startswith("<DepthImage: 64 x 48, 0")
     size = derender.infer(made, quick=True).objects[0].size
     np.testing.assert_array_equal(size, derender.infer(image, quick=True).objects[0].size)
