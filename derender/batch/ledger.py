@@ -139,7 +139,8 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
     body = "".join(_row(folder, name, states[name], rows) for name, rows in frames.items())
     ranges = ", ± half of their 90 % ranges" if "±" in body else ""
     bare = next((name for name in frames if f'href="{quote(name)}/{RESULT}"' in body), None)
-    command = escape(printable(shlex.join(["derender", "view", bare or ""])))
+    shown = f"./{bare}" if bare and bare.startswith("-") else bare or ""  # which is no option then
+    command = escape(printable(shlex.join(["derender", "view", shown])))
     made = f" A frame's own page is made, in this folder, by <code>{command}</code>." if bare else ""
     inside = (
         f"<h1>{len(frames)} frame{'s' if len(frames) != 1 else ''}</h1>"

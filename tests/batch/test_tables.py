@@ -290,3 +290,9 @@ def test_the_bar_says_what_is_left():
     assert words(3, 12, 30.0) == "9 of 12 frames left, 90 s"
     assert words(12, 12, 30.0, watch=True) == "12 frames done, watching"
     assert [duration(seconds) for seconds in (3.4, 200, 7500)] == ["3 s", "3 min", "2 h 05 min"]
+
+
+def test_a_frame_that_is_named_like_an_option_is_viewed_all_the_same(tmp_path):
+    rows = rows_of("-x", summary(FLOOR, box()))
+    page = index_page(tmp_path, {"-x": rows})
+    assert "<code>derender view ./-x</code>" in page
