@@ -136,6 +136,8 @@ def test_the_story_of_infer_imports_no_scipy():
     """Its import takes longer than the search for an easy scene."""
     code = "import sys, derender\nderender.infer(derender.sample('stack', seed=1).render(), method='map')"
     done = run("-c", f"{code}\nprint(*sys.modules)")
+    if "numba" in done.stdout.split():  # which compiles what no run before this one did, and imports scipy for that
+        done = run("-c", f"{code}\nprint(*sys.modules)")
     loaded = set(done.stdout.split())
     assert "derender.structures.infer" in loaded and "scipy" not in loaded, done.stderr
 
