@@ -232,7 +232,8 @@ def _two_dimensional(array: np.ndarray, path: str | Path) -> np.ndarray:
     if array.ndim != 2 or 0 in array.shape:
         shape = " x ".join(map(str, array.shape)) if array.ndim > 1 else "no picture but a list or a number"
         colour = "; this looks like a colour image" if array.ndim == 3 and array.shape[2] in (3, 4) else ""
-        raise DerenderError(f"the array is {shape}{colour}", path, "a depth image is height x width")
+        film = ", and --track follows a film" if array.ndim == 3 and not colour else ""
+        raise DerenderError(f"the array is {shape}{colour}", path, f"a depth image is height x width{film}")
     if array.size > MOST_PIXELS:
         raise DerenderError("too many pixels", path)
     if array.dtype == np.uint8 or array.dtype == np.int8 or array.dtype == bool:

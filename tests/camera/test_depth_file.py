@@ -177,6 +177,7 @@ FAULTS = {
         "8 bits a pixel, stretched to 16",
     ),
     "colour array": (lambda path: save(path, np.zeros((3, 4, 3), np.uint16)), "3 x 4 x 3; this looks like a colour"),
+    "film": (lambda path: save(path, np.ones((3, 4, 5))), "3 x 4 x 5; a depth .* width, and --track follows a film"),
     "8-bit array": (lambda path: save(path, np.ones((3, 4), np.uint8)), "8 bits a pixel"),
     "flat array": (lambda path: save(path, np.ones(12)), "height x width"),
     "no pixels": (lambda path: save(path, np.ones((0, 4))), "0 x 4"),
