@@ -53,6 +53,12 @@ class LikelihoodPrior:
         """Return a number for each parameter given."""
         return {name: draw(value, rng) for name, value in self.values.items()}
 
+    def drawn_by(self, rng: np.random.Generator) -> "LikelihoodPrior":
+        """Return the same likelihood with a number for each parameter given, those of the field too."""
+        return replace(
+            self, values=self.sample(rng), drawn={name: draw(value, rng) for name, value in self.drawn.items()}
+        )
+
     def log_density(self, values: Mapping[str, float]) -> float:
         """Return the log density of the parameters."""
         return math.fsum(log_density(value, values[name]) for name, value in self.values.items())

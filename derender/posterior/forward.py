@@ -1,7 +1,7 @@
 """Drawing scenes and observations from a document: the whole generative model, prior and likelihood."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from derender.camera.intrinsics import Camera
 from derender.document import Document, LikelihoodPrior, document_text, write_document
 from derender.sampling.chains import SCENES, stream
 from derender.scene.graph import SceneGraph
-from derender.scene.priors.objects import draw
 from derender.scene.priors.reading import with_drawn_matter
 
 WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
@@ -54,7 +53,7 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
         graph = with_drawn_matter(document.prior.sample(rng), rng)
         likelihood = document.likelihood
         if likelihood is not None:
-            likelihood = replace(likelihood, values=likelihood.sample(rng))
+            likelihood = likelihood.drawn_by(rng)
         yield Draw(graph, camera, likelihood, {**made, "draw": number}, rng)
 
 
@@ -63,9 +62,6 @@ def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodP
     says so; NaN stays without a return."""
     from derender.render.likelihoods import likelihoods
 
-    likelihood = likelihood or LikelihoodPrior()
-    kind: Any = likelihoods[likelihood.type]
-    values = likelihood.sample(rng)
-    if not likelihood.drawn:
-        return kind.sample(rng, depth, values)
-    return kind.field(rng, depth, {**values, **{name: draw(value, rng) for name, value in likelihood.drawn.items()}})
+    told = (likelihood or LikelihoodPrior()).drawn_by(rng)
+    kind: Any = likelihoods[told.type]
+    return kind.field(rng, depth, {**told.values, **told.drawn}) if told.drawn else kind.sample(rng, depth, told.values)

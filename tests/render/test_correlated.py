@@ -13,6 +13,7 @@ from derender.camera.intrinsics import Camera
 from derender.cli import group
 from derender.detection.calibration import Fit, correlation, fit_sensor, residuals, sensor_text
 from derender.document import document_from, read_document
+from derender.errors import DerenderError
 from derender.posterior.forward import observe
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.correlated import (
@@ -362,6 +363,23 @@ def test_what_calibrate_writes_draws_noise_like_that_of_the_frames(kind):
     seen, drawn = scatter(frames), scatter([observe(rng, depth, likelihood) - depth for _ in range(4)])
     assert drawn[0] == pytest.approx(seen[0], rel=0.1)
     assert drawn[1] == pytest.approx(seen[1], abs=0.1) and drawn[2] == pytest.approx(seen[2], rel=0.1)
+
+
+def test_a_drawn_scene_says_by_which_numbers_its_image_is():
+    """Those that are open are drawn with the scene; what is no number of a field is refused."""
+    text = "derender: 1\nobjects: {table: {shape: plane, contact: {type: 6dof}}}\n"
+    text += "likelihood: {type: TYPE, drawn: {white: OPEN}}"
+    open_too = text.replace("TYPE", "correlated").replace("OPEN", "{uniform: [0.1, 0.2]}")
+    likelihood = document_from(parse_yaml(open_too.encode(), "x.yaml"), data_path("sensors")).likelihood
+    white = likelihood.drawn_by(np.random.default_rng(1)).to_data()["drawn"]["white"]
+    assert 0.1 < white < 0.2
+    for kind, number, words in (
+        ("gaussian", "0.1", "this key is unknown"),
+        ("correlated", "3", "white is 3, out of range"),
+    ):
+        wrong = text.replace("TYPE", kind).replace("OPEN", number)
+        with pytest.raises(DerenderError, match=words):
+            document_from(parse_yaml(wrong.encode(), "x.yaml"), data_path("sensors"))
 
 
 def test_a_field_of_noise_has_the_covariance_that_is_said():
