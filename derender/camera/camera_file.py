@@ -93,14 +93,25 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     """
     tree = load_tree(path)
     try:
-        if isinstance(tree, list) and len(tree) in (3, 9):
-            matrix = numbers_in(tree, "the matrix", 9).reshape(3, 3).tolist()
+        if isinstance(tree, list) and len(tree) in (3, 4, 9, 12, 16):
+            matrix = _intrinsic_part(numbers_in(tree, "the matrix")).tolist()
             of_video = Path(path).name == "camera_matrix.csv"  # StrayScanner's belongs to its video
             tree = {"K": matrix, "w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if of_video else {"cam_K": matrix}
         return camera_from_tree(tree, shape, frame)
     except DerenderError as error:
         where = path if error.where in (None, "camera") else f"{path}: {error.where}"
         raise DerenderError(error.what, where, error.remedy) from None
+
+
+def _intrinsic_part(numbers: np.ndarray) -> np.ndarray:
+    """Return (3, 3) of the numbers of such a matrix, or of one (3, 4) or (4, 4) that adds nothing to it: ScanNet's."""
+    wide = {9: 3, 12: 4, 16: 4}.get(len(numbers))
+    whole = numbers.reshape(-1, wide) if wide else np.ones((4, 4))
+    if not np.array_equal(whole[:, 3:], np.eye(4)[: len(whole), 3:wide]) or whole[3:, :3].any():
+        raise DerenderError(
+            "the matrix is no 3 x 3 matrix of intrinsics", "camera", "its rows are fx 0 cx, 0 fy cy, 0 0 1"
+        )
+    return whole[:3, :3]
 
 
 def camera_beside(path: str | Path) -> Path | None:
@@ -124,7 +135,7 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
             if missing:
                 raise DerenderError("the file does not say the image's size", remedy="add " + " and ".join(missing))
             camera = Camera(**arguments)
-            _refuse_impossible(camera)
+            _refuse_impossible(camera, room=0 if len(_size(tree)) < 2 else 1)
             return camera
         tree = _unwrap(tree, frame)
     raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy")
@@ -250,17 +261,19 @@ def _unwrap(tree: dict, frame: str | None) -> object:
     raise DerenderError(f"no camera in the keys {known}"[:300], remedy=remedy)
 
 
-def _refuse_impossible(camera: Camera) -> None:
-    """Refuse intrinsics that no depth camera has: mostly those of another image size or unit."""
+def _refuse_impossible(camera: Camera, room: int) -> None:
+    """Refuse intrinsics that no depth camera has: mostly those of another image size or unit.
+    room : how many times its size an image's principal point may lie outside; none where nothing says that size."""
     for name, focal, extent in (("fx", camera.fx, camera.width), ("fy", camera.fy, camera.height)):
         degrees = math.degrees(2 * math.atan(extent / (2 * focal)))
         if not LEAST_DEGREES <= degrees <= MOST_DEGREES:
             what = f"{name} is {focal:g} pixels for {extent} pixels: a field of view of {degrees:.3g} degrees"
             raise DerenderError(what, "camera", "give the focal length in pixels of this image")
     for name, centre, extent in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
-        if not -extent <= centre <= 2 * extent:
-            what = f"{name} is {centre:g}, farther outside the image than it is large ({extent} pixels)"
-            raise DerenderError(what, "camera", "give the camera of this image, in its pixels")
+        if not -extent * room <= centre <= extent * (1 + room):
+            far = "farther outside the image than it is large" if room else "outside the image"
+            remedy = "give the camera of this image, in its pixels" + ("" if room else ", or width and height with it")
+            raise DerenderError(f"{name} is {centre:g}, {far} ({extent} pixels)", "camera", remedy)
 
 
 def load_tree(
@@ -283,9 +296,9 @@ def load_tree(
         wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as PowerShell's `>` writes
         text = data.decode("utf-16" if wide else "utf-8-sig")
         words = text.replace(",", " ").replace(";", " ").split()
-        if len(words) == 9:  # a matrix as numpy.savetxt or a table writes it
+        if len(words) in (9, 12, 16):  # a matrix as numpy.savetxt or a table writes it
             with contextlib.suppress(ValueError):
-                return np.reshape([float(word) for word in words], (3, 3)).tolist()
+                return [float(word) for word in words]
         if text.lstrip().startswith("{"):
             try:
                 return parse_json(text, path)

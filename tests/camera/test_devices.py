@@ -86,6 +86,34 @@ def test_a_matrix_alone_is_a_camera(tmp_path):
         assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.shape) == (200, 210, 127.5, 95.5, (192, 256)), name
 
 
+def test_a_larger_matrix_is_a_camera_where_it_adds_nothing(tmp_path):
+    """ScanNet's intrinsic_depth.txt is 4 x 4, ROS' P is 3 x 4."""
+    for shape in ((3, 4), (4, 4)):
+        whole = np.eye(4)[: shape[0]]
+        whole[:3, :3] = [[200.0, 0, 127.5], [0, 210.0, 95.5], [0, 0, 1]]
+        np.savetxt(tmp_path / "k.txt", whole)
+        np.save(tmp_path / "k.npy", whole)
+        for name in ("k.txt", "k.npy"):
+            camera = read_camera(tmp_path / name, (192, 256))
+            assert (camera.fx, camera.fy, camera.cx, camera.cy) == (200, 210, 127.5, 95.5)
+        whole[0, 3] = -30.0
+        np.savetxt(tmp_path / "k.txt", whole)
+        with pytest.raises(DerenderError, match="no 3 x 3 matrix of intrinsics"):
+            read_camera(tmp_path / "k.txt", (192, 256))
+
+
+def test_a_camera_without_a_size_is_that_of_the_image_only_where_its_middle_is_in_it(tmp_path):
+    """A matrix of a colour image twice as large was taken for a depth image's: all sizes were half of what they are."""
+    (tmp_path / "k.txt").write_text("900 0 640\n0 900 360\n0 0 1\n")
+    with pytest.raises(
+        DerenderError, match=r"cx is 640, outside the image \(512 pixels\); .* width and height with it"
+    ):
+        read_camera(tmp_path / "k.txt", (384, 512))
+    said = {"fx": 900, "fy": 900, "cx": 640, "cy": 360, "width": 512, "height": 384}
+    (tmp_path / "k.json").write_text(json.dumps(said))
+    assert read_camera(tmp_path / "k.json", (384, 512)).cx == 640  # a part of an image
+
+
 def test_distortion_and_raw_calibrations_are_refused(tmp_path):
     for tree, words in (
         (FILES["Nerfstudio"] | {"k1": 0.1}, "distortion"),
