@@ -28,6 +28,7 @@ from derender.dynamics.motion import Motion
 from derender.dynamics.shooting import RESTS, Shooting
 from derender.dynamics.states import CHANGE, moved, to_poses
 from derender.physics.mujoco_model import Diverged
+from derender.posterior.sampler import systematic
 
 # A number is told by the motion where its standard deviation is at most this share of the prior's: of the few draws
 # that count for something the deviation itself is uncertain by a fifth, and nothing that is untold may pass.
@@ -40,13 +41,20 @@ class Answer:
 
     draws : name -> (K,) or (K, 3) float64: friction, restitution, contact_time (s), mass_ratio.OF.TO; velocity.NAME
         (m / s) and angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact,
-        error.steady, error.tracking and error.turning, the `Scales` of the engine.
+        error.steady, error.tracking and error.turning, the `Scales` of the engine. Numbers that may not be stated,
+        such as restitution of what never rebounds, have the prior's draws.
     told : names of the numbers that the motion tells.
     """
 
-    def __init__(self, found: Identified, rng: np.random.Generator) -> None:
+    def __init__(self, found: Identified, rng: np.random.Generator, rate_spread: float = 0.0) -> None:
+        """rate_spread : standard deviation of the logarithm of the frame rate, where it was guessed."""
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
+        rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
+        if rate_spread:
+            coordinates, rates = at_rates(found, coordinates, rates, rng)
+        unstated = found.told & ~found.stated
+        coordinates[:, unstated] = [self.parameters.sample_prior(rng)[unstated] for _ in coordinates]
         values = found.parameters.values(coordinates)
         values[:, 0] *= np.exp(ENGINE_FRICTION * rng.standard_normal(len(values)))
         values[:, 1] = np.clip(values[:, 1] + ENGINE_RESTITUTION * rng.standard_normal(len(values)), 0.0, 1.0)
@@ -59,8 +67,9 @@ class Answer:
         states = moved(np.broadcast_to(mode.path.states[0], (len(values), *mode.path.states[0].shape)), changes)
         turns = to_poses(states)[..., :3, :3]
         for k, name in enumerate(found.parameters.names):
-            self.draws[f"velocity.{name}"] = states[:, k, 7:10]
-            self.draws[f"angular_velocity.{name}"] = np.einsum("kij,kj->ki", turns[:, k], states[:, k, 10:])
+            self.draws[f"velocity.{name}"] = rates[:, None] * states[:, k, 7:10]
+            turning = np.einsum("kij,kj->ki", turns[:, k], states[:, k, 10:])
+            self.draws[f"angular_velocity.{name}"] = rates[:, None] * turning
         for number, name in enumerate(("impact", "steady", "tracking", "turning")):
             self.draws[f"error.{name}"] = np.exp(logarithms[:, number])
 
@@ -113,6 +122,23 @@ class Answer:
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             arrays = {name: values[None] for name, values in self.draws.items()}
             np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
+
+
+def at_rates(
+    found: Identified, coordinates: np.ndarray, rates: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return draws (K, P) of coordinates if frames came at other rates, each draw's (K,) times that of the film, and
+    these; the prior is of what the draws say then.
+
+    Through the same poses a thing slides on a level floor with friction by the square of the rate; bounces last the
+    shorter, and what is left of speeds, and ratios of masses, stay.
+    """
+    powers = np.zeros(coordinates.shape[1])
+    powers[[0, 2]] = np.where(found.told[[0, 2]], [2.0, -1.0], 0.0)
+    changed = coordinates + np.log(rates)[:, None] * powers
+    before, after = (np.array([found.parameters.log_prior(each) for each in every]) for every in (coordinates, changed))
+    at = rng.permutation(systematic(rng, np.exp(after - before - np.max(after - before))))
+    return changed[at], rates[at]
 
 
 # Bodies have entered each other by more than tracking is off, metres: the engine would throw them apart.

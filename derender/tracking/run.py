@@ -17,6 +17,7 @@ from derender.errors import DerenderError
 from derender.structures.options import Options
 from derender.tracking.film import (
     FPS,
+    FPS_SPREAD,
     Film,
     camera_of,
     check_size,
@@ -101,7 +102,7 @@ def track_to_folder(
     if film.camera_is_guess:
         warn(f"no camera is given: taking {film.camera.field_of_view:.0f} degrees horizontal field of view")
     if film.fps_is_guess:
-        warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds and friction are wrong if it is another")
+        warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds are wrong if it is another: give --fps")
     if film.gravity is None:
         say("no gravity is given: taking it along the floor's normal")
     told, names = 0, list(film.names)
@@ -122,6 +123,7 @@ def track_to_folder(
     else:
         track = track_film(film, options, moving_camera, progress)
         frames = list(film.frames[: len(track.times)])
+    track.rate_spread = FPS_SPREAD if film.fps_is_guess else 0.0
     for note in track.notes:
         warn(note)
     events = events_of(track)

@@ -43,6 +43,7 @@ class Track:
     pixels: np.ndarray  # (T, N, 4), see fit.pixels_of
     notes: list[str] = field(default_factory=list)  # what was assumed, as sentences
     cut: int | None = None  # the first frame that is not tracked, or None
+    rate_spread: float = 0.0  # standard deviation of the frame rate's logarithm: 0 where somebody gave it
 
     def parents(self) -> list[list[str | None]]:
         """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""

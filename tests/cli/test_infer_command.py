@@ -12,6 +12,7 @@ from derender import data_path
 from derender.camera.depth_file import write_depth
 from derender.cli.infer import command
 from derender.errors import DerenderError
+from derender.tracking.film import FPS_SPREAD
 
 BLOCK = """derender: 1
 camera: {fx: 40, fy: 40, cx: 23.5, cy: 17.5, width: 48, height: 36}
@@ -236,7 +237,9 @@ def test_a_prior_of_materials_goes_with_a_film(tmp_path):
     np.save(tmp_path / "still_only.npy", np.full((24, 32), 0.9))
     with pytest.raises(DerenderError, match="nothing moves by itself"):
         infer(tmp_path / "still_only.npy", *film, "-o", tmp_path / "out")
-    assert (tmp_path / "out" / "track.json").exists()
+    for given, spread in (([], FPS_SPREAD), (["--fps", 30], 0.0)):
+        infer(tmp_path / "still_only.npy", film[0], "--track", "-q", *given, "-o", tmp_path / "out")
+        assert json.loads((tmp_path / "out" / "track.json").read_text())["rate_spread"] == spread
 
 
 def test_one_image_together_with_itself_is_told(tmp_path):

@@ -16,6 +16,7 @@ from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
 from derender.scene.pose import rotation_z, translation
+from derender.tracking.film import FPS_SPREAD
 
 GRAVITY = 9.81
 FRAMES, STEP = 20, 1 / 30
@@ -527,7 +528,29 @@ def test_only_what_rises_from_an_impact_or_a_ball_shows_what_it_gives_back(monke
     found = identify(film, np.random.default_rng(0), draws=5)
     assert found.told.tolist() == [False, True, True] and not found.stated.any()
     found.draws.coordinates[:, 1] = 0.3  # however narrow
-    assert not Answer(found, np.random.default_rng(0)).told
+    answer = Answer(found, np.random.default_rng(0))
+    assert not answer.told
+    assert answer.draws["restitution"].std() > 0.25  # the prior's: draws kept what was not stated
+
+
+def test_of_a_guessed_frame_rate_friction_is_what_any_usual_rate_would_tell():
+    """A film of 60 frames a second was told of at 30: friction .075 to .08 where .3 was true, with a warning."""
+    film = slide(0.3 / 4, 0.9 / 2, np.random.default_rng(5), metres=5e-4, radians=5e-3)  # as it looks at 30
+    found = identify(film, np.random.default_rng(0), draws=40)
+    known = Answer(found, np.random.default_rng(0))
+    assert known.told == ["friction"] and known.interval("friction")[2] < 0.1
+    guessed = Answer(found, np.random.default_rng(0), FPS_SPREAD)
+    assert not guessed.told
+    for name, true in (("friction", 0.3), ("velocity.box", 0.9)):
+        low, high = np.quantile(np.ravel(guessed.draws[name].T[:1000]), [0.05, 0.95])
+        assert low < true < high
+    pairs = np.log(guessed.draws["friction"]), np.log(guessed.draws["velocity.box"][:, 0])
+    assert np.corrcoef(*pairs)[0, 1] > 0.95  # the faster, the rougher
+    narrow = read_dynamics_prior()._replace(friction=read_dynamics_prior().restitution)
+    strict = found._replace(parameters=found.parameters._replace(prior=narrow))
+    assert Answer(strict, np.random.default_rng(0), FPS_SPREAD).draws["friction"].max() < 0.95 * np.exp(
+        4 * ENGINE_FRICTION
+    )
 
 
 def test_frames_that_are_taken_a_little_early_or_late_are_brought_to_even_times():
