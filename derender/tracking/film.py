@@ -14,7 +14,7 @@ from derender.camera.depth_file import DepthImage, decoded_file, image_of, read_
 from derender.camera.image_files import MOST_BYTES, read_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.tracking.gaps import counted, lacking, repeated
+from derender.tracking.gaps import MISSING, counted, lacking, repeated
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a folder
 # Frames a second, assumed where nobody says, and the standard deviation of its logarithm: nine depth cameras in ten run
@@ -161,20 +161,29 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
             seen.append(read_depth(path, camera, depth_scale, may_be_empty=True))
             check_size(seen[-1].depth, seen[0].depth, path)
     frames = [each.depth for each in seen]
-    shows = [bool(np.any(np.isfinite(frame) & (frame > 0))) for frame in frames]
-    if not any(shows):
+    dark = next((t for t, frame in enumerate(frames) if shows(frame)), None)
+    if dark is None:
         raise DerenderError("no frame has a pixel with a depth", where, "give images that show something")
-    if not shows[0]:  # how fast things are when a film begins is told by its first frame
-        what = f"the first frame, {names[0]}, has no pixel with a depth"
-        raise DerenderError(what, where, f"begin with {names[shows.index(True)]}")
     if timing.times is not None and len(timing.times) != len(frames):
         what = f"there are {len(frames)} frames and {len(timing.times)} times"
         raise DerenderError(what, camera or where, "give one time for each frame")
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
     guessed = rate is None and timing.times is None
     times = timing.times if timing.times is not None and fps is None else counted(names) / (rate or FPS)
-    film = Film(names, frames, seen[0].camera, seen[0].camera_is_guess, times, timing.gravity, guessed)
-    return _completed(film._replace(notes=tuple(_odd_units(film))))
+    camera_is_guess, notes = seen[0].camera_is_guess, (dark_start(dark, names[dark]),) if dark else ()
+    film = Film(names[dark:], frames[dark:], seen[0].camera, camera_is_guess, times[dark:], timing.gravity, guessed)
+    return _completed(film._replace(notes=(*notes, *_odd_units(film))))
+
+
+def shows(frame: np.ndarray) -> bool:
+    """Return whether a frame (H, W) has a pixel with a depth."""
+    return bool(np.any(np.isfinite(frame) & (frame > 0)))
+
+
+def dark_start(count: int, name: str) -> str:
+    """Return what is said of first frames without depth."""
+    frames = f"the first {count} frames have" if count > 1 else "the first frame has"
+    return f"{frames} no pixel with a depth: beginning with {name}"
 
 
 def _odd_units(film: Film) -> list[str]:
@@ -208,7 +217,7 @@ def _completed(film: Film) -> Film:
     for t in before[::-1]:
         between = np.linspace(times[t - 1], times[t], gaps[t] + 2)[1:-1]
         times = np.insert(times, t, between)
-        names[t:t] = ["missing"] * gaps[t]
+        names[t:t] = [MISSING] * gaps[t]
         frames[t:t] = [np.full_like(frames[0], np.nan)] * gaps[t]
     return film._replace(names=names, frames=frames, times=times, notes=tuple(notes))
 

@@ -16,6 +16,7 @@ LONGER = 2.0
 # A frame that is the one before, bit by bit, was not taken anew where between other frames this share of the pixels
 # changes: noise changes nearly all, a rendering without noise what moves.
 CHANGES = 0.5
+MISSING = "missing"  # what a frame is called that is put in
 
 
 def counted(names: Sequence[str]) -> np.ndarray:

@@ -24,6 +24,7 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, moved
 from derender.tracking.contact import gaps_of
 from derender.tracking.drawing import DEVIATION
+from derender.tracking.film import shows
 from derender.tracking.fit import RIGID
 from derender.tracking.path import change_between, smooth_path
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Start
@@ -74,7 +75,7 @@ class Passes:
 
     def full(self) -> list[int]:
         """Return the numbers of the frames that the sensor did not drop."""
-        return [t for t, frame in enumerate(self.frames) if np.any(np.isfinite(frame) & (frame > 0))]
+        return [t for t, frame in enumerate(self.frames) if shows(frame)]
 
     def anchored(self, found: "Pass") -> "Pass":
         """Return the pass, or one backward from the last frame if the film is likelier so.

@@ -22,10 +22,13 @@ from derender.tracking.film import (
     camera_of,
     check_size,
     checked_fps,
+    dark_start,
     frame_files,
     read_film,
     read_timing,
+    shows,
 )  # fmt: skip
+from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of, report_page, write_track
 from derender.tracking.thing import GONE, start_from
@@ -105,19 +108,25 @@ def track_to_folder(
         warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds are wrong if it is another: give --fps")
     if film.gravity is None:
         say("no gravity is given: taking it along the floor's normal")
-    told, names = 0, list(film.names)
+    told = 0
     if watch:
-        frames = [film.frames[0]]
+        frames, names, came = [film.frames[0]], list(film.names), list(film.names)
         start = start_from(inferrer(options, film.camera)(film.frames[0], False), np.random.default_rng(options.seed))
         recorder = Recorder(film.frames[0], film.camera, start, film.gravity, step_of(film), moving_camera,
                             lambda depth: inferrer(options, film.camera)(depth, True))  # fmt: skip
         for path, seen in coming:
             check_size(seen.depth, as_it_came, path)
             depth = seen.depth if enlargement is None else enlargement.reduced(seen.depth)
-            if not recorder.advance(depth):
+            came.append(path.name)
+            missing = int(lacking(counted(came))[-1])
+            if missing:
+                warn(f"{missing} frames are missing, by names, before {path.name}")
+            for name, each in [(MISSING, np.full_like(depth, np.nan))] * missing + [(path.name, depth)]:
+                if recorder.advance(each):
+                    frames.append(each)
+                    names.append(name)
+            if recorder.cut is not None:
                 break
-            frames.append(depth)
-            names.append(f"frame {len(names)}")
             told = tell_events(recorder.track(times_of(film, len(frames))), told, tell, LAG)
         track = recorder.track(times_of(film, len(frames)), names)
     else:
@@ -182,13 +191,23 @@ def tell_events(track: Track, told: int, tell: Any, lag: int) -> int:
 
 def first_of(coming: Iterator[tuple[Path, DepthImage]], sources: Any, camera: Any, fps: Any) -> Film:
     """Wait for the first frame of a folder that grows, and return a film of it."""
-    path, seen = next(coming, (None, None))
-    if path is None or seen is None:
-        raise DerenderError("no frame came", ", ".join(map(str, sources)), "name the folder that frames come into")
+    dark, begun = 0, None
+    for each in coming:
+        if shows(each[1].depth):
+            begun = each
+            break
+        dark += 1
+    if begun is None:
+        what = "no frame has a pixel with a depth" if dark else "no frame came"
+        raise DerenderError(what, ", ".join(map(str, sources)), "name the folder that frames come into")
+    path, seen = begun
     timing = read_timing(camera_of(sources, camera))
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
-    times = np.arange(2) / (rate or FPS)
-    return Film([path.name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None)
+    times = (dark + np.arange(2)) / (rate or FPS)
+    notes = (dark_start(dark, path.name),) if dark else ()
+    return Film(
+        [path.name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None, notes
+    )
 
 
 def watched(sources: Any, camera: Any, depth_scale: Any) -> Iterator[tuple[Path, DepthImage]]:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from derender.errors import DerenderError
+from derender.structures.options import Options
+from derender.tracking import run
 from derender.tracking.film import frame_files, read_film
 from derender.tracking.gaps import counted
 from derender.tracking.run import patiently
@@ -107,6 +109,33 @@ def test_frames_that_numbers_or_times_show_to_be_missing_are_put_in_without_dept
     assert np.allclose(timed.times, [0, 0.1, 0.2, 0.305, 0.41, 0.5, 0.6]) and timed.names[3] == "missing"
 
 
+def test_a_film_begins_with_the_first_frame_that_shows_something_and_time_with_the_first(tmp_path):
+    """Sensors' first frames are often dark: such a film was refused."""
+    folder = write(tmp_path / "f", 5, fps=10)
+    for t in (0, 1):
+        np.save(folder / f"frame_{t}.npy", np.zeros((48, 64), np.float32))
+    film = read_film([folder])
+    assert film.names == ["frame_2.npy", "frame_3.npy", "frame_4.npy"] and np.allclose(film.times, [0.2, 0.3, 0.4])
+    assert len(film.frames) == 3 and "first 2 frames" in film.notes[0] and "frame_2.npy" in film.notes[0]
+
+
+def test_a_film_that_is_watched_may_begin_dark_and_lack_frames(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "PATIENCE", 0.1)
+    folder, told = write(tmp_path / "f", 8, fps=10), []
+    np.save(folder / "frame_0.npy", np.zeros((48, 64), np.float32))
+    for t in range(1, 8):
+        np.save(folder / f"frame_{t}.npy", np.full((48, 64), 0.9, np.float32))
+    (folder / "frame_5.npy").unlink()
+    found = run.track_to_folder([folder], Options(seed=1), tmp_path / "out", watch=True, warn=told.append).track
+    assert found.frames == [f"frame_{t}.npy" if t != 5 else "missing" for t in range(1, 8)]
+    assert np.allclose(found.times, 0.1 * np.arange(1, 8)) and found.rate_spread == 0
+    assert "beginning with frame_1.npy" in told[0] and "1 frames are missing" in told[1]
+    for path in folder.glob("frame*"):
+        np.save(path, np.zeros((48, 64), np.float32))
+    with pytest.raises(DerenderError, match="no frame has a pixel"):
+        run.track_to_folder([folder], Options(seed=1), tmp_path / "out", watch=True)
+
+
 @pytest.mark.parametrize(
     "names",
     [("a", "b", "c"), ("f_12", "f_40", "f_41"), ("f_1", "f_2", "f_4_x2"), ("f_3", "f_2", "f_1"), ("f", "f", "f")],
@@ -142,7 +171,6 @@ def test_times_and_gravity_in_other_units_are_said(tmp_path):
 
 
 FAULTS = {
-    "dark": (lambda folder: np.save(folder / "frame_0.npy", np.zeros((48, 64), np.float32)), "begin with frame_1.npy"),
     "empty": (lambda folder: [p.unlink() for p in folder.glob("frame*")], "the film is empty"),
     "sizes": (lambda folder: np.save(folder / "frame_1.npy", np.ones((24, 32), np.float32)), "pixels"),
     "backwards": (lambda folder: write(folder, times=[0, 0.2, 0.1]), "time runs backwards"),
