@@ -17,6 +17,8 @@ from derender.atomic import atomic_path
 from derender.dynamics.engine import (
     ENGINE_FRICTION,
     ENGINE_RESTITUTION,
+    LASTING,
+    LEAST_STEADY,
     LEVER,
     Engine,
     Material,
@@ -46,17 +48,23 @@ class Answer:
     told : names of the numbers that the motion tells.
     """
 
-    def __init__(self, found: Identified, rng: np.random.Generator, rate_spread: float = 0.0) -> None:
-        """rate_spread : standard deviation of the logarithm of the frame rate, where it was guessed."""
+    def __init__(
+        self, found: Identified, rng: np.random.Generator, rate_spread: float = 0.0, level_spread: float = 0.0
+    ) -> None:
+        """rate_spread : standard deviation of the logarithm of the frame rate, where it was guessed. level_spread : of
+        the floor's inclination, radians, where it was taken for level."""
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
+        if found.told[0]:
+            lasting = LASTING * np.maximum(np.exp(logarithms[:, 1]) - LEAST_STEADY, 0.0)
+            off = np.hypot(lasting, level_spread) / np.exp(coordinates[:, 0])
+            coordinates[:, 0] += np.hypot(ENGINE_FRICTION, off) * rng.standard_normal(len(coordinates))
         rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
         if rate_spread:
             coordinates, rates = at_rates(found, coordinates, rates, rng)
         unstated = found.told & ~found.stated
         coordinates[:, unstated] = [self.parameters.sample_prior(rng)[unstated] for _ in coordinates]
         values = found.parameters.values(coordinates)
-        values[:, 0] *= np.exp(ENGINE_FRICTION * rng.standard_normal(len(values)))
         values[:, 1] = np.clip(values[:, 1] + ENGINE_RESTITUTION * rng.standard_normal(len(values)), 0.0, 1.0)
         self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
         narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()

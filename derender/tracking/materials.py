@@ -129,7 +129,7 @@ def materials_to_folder(
         raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
     rng = np.random.default_rng(seed)
     found = identify(motion, rng, prior)
-    answer, ahead = Answer(found, rng, track.rate_spread), rests_ahead(found, motion, rng)
+    answer, ahead = Answer(found, rng, track.rate_spread, track.level_spread), rests_ahead(found, motion, rng)
     answer.write(folder / "dynamics.npz", seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
     write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json(), "ahead": ahead}))

@@ -113,10 +113,10 @@ DIGITS = 6  # after the point, of what track.json says
 def track_json(track: Track) -> dict[str, Any]:
     """Return the track as track.json holds it: one pose and one parent a frame for each object, null where unknown.
 
-    Beside the contract's keys stand `times`, `rate_spread` (standard deviation of the frame rate's logarithm, 0 where
-    it is known), `gravity`, `floor` and `views`, and of each object `states`, `deviations` (three standard deviations
-    of its centre, metres), `parent_probability` and `lost`: the frames in which the tracker says that it does not know
-    where the object is.
+    Beside the contract's keys stand `times`, `rate_spread` and `level_spread` (standard deviations of the frame rate's
+    logarithm and of the floor's inclination, 0 where they are known), `gravity`, `floor` and `views`, and of each
+    object `states`, `deviations` (three standard deviations of its centre, metres), `parent_probability` and `lost`:
+    the frames in which the tracker says that it does not know where the object is.
     """
     parents, words = track.parents(), ["none", "floor", *track.names]
     objects = []
@@ -149,6 +149,7 @@ def track_json(track: Track) -> dict[str, Any]:
         "frame": "camera",
         "times": _rounded(track.times, 9),
         "rate_spread": track.rate_spread,
+        "level_spread": track.level_spread,
         "gravity": _rounded(track.gravity),
         "floor": None if track.floor is None else _rounded(track.floor, 9),
         "views": _rounded(track.views, 9),

@@ -18,6 +18,7 @@ from derender.structures.options import Options
 from derender.tracking.film import (
     FPS,
     FPS_SPREAD,
+    LEVEL_SPREAD,
     Film,
     camera_of,
     check_size,
@@ -107,7 +108,7 @@ def track_to_folder(
     if film.fps_is_guess:
         warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds are wrong if it is another: give --fps")
     if film.gravity is None:
-        say("no gravity is given: taking it along the floor's normal")
+        warn("no gravity is given: taking the floor for level; of a slope friction is wrong")
     told = 0
     if watch:
         frames, names, came = [film.frames[0]], list(film.names), list(film.names)
@@ -133,6 +134,7 @@ def track_to_folder(
         track = track_film(film, options, moving_camera, progress)
         frames = list(film.frames[: len(track.times)])
     track.rate_spread = FPS_SPREAD if film.fps_is_guess else 0.0
+    track.level_spread = LEVEL_SPREAD if film.gravity is None else 0.0
     for note in track.notes:
         warn(note)
     events = events_of(track)

@@ -533,6 +533,30 @@ def test_only_what_rises_from_an_impact_or_a_ball_shows_what_it_gives_back(monke
     assert answer.draws["restitution"].std() > 0.25  # the prior's: draws kept what was not stated
 
 
+@pytest.mark.parametrize("act", ["pushed", "held"])
+def test_where_something_unseen_acts_on_a_slide_friction_is_not_stated(act):
+    """A box that a hand first pushed evenly told a friction of .11 to .13 where .3 was true, and one that a wall
+    stopped .27 to .32 where .2 was."""
+    time = STEP * np.arange(24)
+    if act == "pushed":
+        slowed = np.clip(time - 0.33, 0.0, 0.6 / (0.3 * GRAVITY))
+        x = 0.6 * np.minimum(time, 0.33) + 0.6 * slowed - 0.3 * GRAVITY * slowed**2 / 2
+    else:
+        slowed = np.minimum(time, 6 * STEP)
+        x = slowed - 0.2 * GRAVITY * slowed**2 / 2
+    body = Body("box", "box", np.array([0.08, 0.07, 0.06]), np.eye(4))
+    film = motion(body, np.column_stack([x, 0 * x, 0 * x + 0.03]), np.random.default_rng(6), 4e-4, 5e-3)
+    assert not Answer(identify(film, np.random.default_rng(0), draws=40), np.random.default_rng(0)).told
+
+
+def test_of_a_floor_that_is_taken_for_level_friction_is_as_unsure():
+    film = slide(0.2, 0.9, np.random.default_rng(5), metres=5e-4, radians=5e-3)
+    found = identify(film, np.random.default_rng(0), draws=40)
+    known, taken = (Answer(found, np.random.default_rng(0), level_spread=each) for each in (0.0, 0.03))
+    assert known.draws["friction"].std() < 0.01 and 0.025 < taken.draws["friction"].std() < 0.04
+    assert known.told == taken.told == ["friction"]
+
+
 def test_of_a_guessed_frame_rate_friction_is_what_any_usual_rate_would_tell():
     """A film of 60 frames a second was told of at 30: friction .075 to .08 where .3 was true, with a warning."""
     film = slide(0.3 / 4, 0.9 / 2, np.random.default_rng(5), metres=5e-4, radians=5e-3)  # as it looks at 30
