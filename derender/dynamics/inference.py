@@ -394,6 +394,7 @@ class Identified(NamedTuple):
     draws: Draws  # weighted, of coordinates and scales
     told: np.ndarray  # (P,) bool, which coordinates the film tells; of the others the draws are the prior's
     stated: np.ndarray  # (P,) bool, which of them may be stated: of what never rebounds no restitution
+    struck: bool  # whether something may be struck, so that not all lies on a floor throughout
 
 
 def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = None, draws: int = DRAWS) -> Identified:
@@ -416,4 +417,4 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
             found.coordinates[:, with_it] += shift[:, None]
     stated = told.copy()
     stated[1:ALWAYS] &= shooting.rebounds
-    return Identified(parameters, modes, found, told, stated)
+    return Identified(parameters, modes, found, told, stated, shooting.struck)

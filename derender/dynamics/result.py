@@ -56,19 +56,23 @@ class Answer:
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
         if found.told[0]:
-            lasting = LASTING * np.maximum(np.exp(logarithms[:, 1]) - LEAST_STEADY, 0.0)
-            off = np.hypot(lasting, level_spread) / np.exp(coordinates[:, 0])
-            coordinates[:, 0] += np.hypot(ENGINE_FRICTION, off) * rng.standard_normal(len(coordinates))
+            lasting = LASTING * max(float(np.exp(np.median(logarithms[:, 1]))) - LEAST_STEADY, 0.0)
+            off = np.hypot(lasting, level_spread) / np.exp(coordinates[:, 0].mean())
+            believed = self.parameters.middle()[0], self.parameters.spread()[0]
+            coordinates[:, 0] = widened(coordinates[:, 0], float(np.hypot(ENGINE_FRICTION, off)), *believed)
         rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
         if rate_spread:
             coordinates, rates = at_rates(found, coordinates, rates, rng)
-        unstated = found.told & ~found.stated
+        stated = found.stated.copy()
+        if rate_spread and found.struck:  # what flies or topples does so at one rate alone
+            stated[1:] = False
+        unstated = found.told & ~stated
         coordinates[:, unstated] = [self.parameters.sample_prior(rng)[unstated] for _ in coordinates]
         values = found.parameters.values(coordinates)
         values[:, 1] = np.clip(values[:, 1] + ENGINE_RESTITUTION * rng.standard_normal(len(values)), 0.0, 1.0)
         self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
         narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()
-        self.told = [name for name, yes in zip(found.parameters.labels, narrow & found.stated, strict=True) if yes]
+        self.told = [name for name, yes in zip(found.parameters.labels, narrow & stated, strict=True) if yes]
         mode = found.modes[0]
         lower = np.linalg.cholesky(mode.first + 1e-12 * np.eye(len(mode.first)))
         changes = (rng.standard_normal((len(values), len(lower))) @ lower.T).reshape(len(values), -1, CHANGE)
@@ -130,6 +134,19 @@ class Answer:
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             arrays = {name: values[None] for name, values in self.draws.items()}
             np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
+
+
+def widened(draws: np.ndarray, off: float, middle: float, spread: float) -> np.ndarray:
+    """Return draws (K,) of a number moved to where they are if what was seen tells it with a further standard error.
+
+    All is taken for normal. middle, spread : of the prior, which remains where nothing is told any more.
+    """
+    mean, variance = draws.mean(), draws.var()
+    told = max(1 / variance - 1 / spread**2, 0.0)  # the likelihood's precision, and the number that it says times that
+    says = mean / variance - middle / spread**2
+    share = 1 / (1 + told * off**2)
+    precision = share * told + 1 / spread**2
+    return (share * says + middle / spread**2) / precision + (draws - mean) / np.sqrt(variance * precision)
 
 
 def at_rates(

@@ -10,7 +10,7 @@ from derender.dynamics.engine import ENGINE_FRICTION, FIRMER, SLIDING_RESTITUTIO
 from derender.dynamics.inference import ENOUGH, first_coordinates, identify, sample
 from derender.dynamics.motion import HELD_TURN, HELD_WITHIN, motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.result import Answer
+from derender.dynamics.result import Answer, widened
 from derender.dynamics.shooting import FIRST_SPEED, FIRST_SPIN, Shooting
 from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
@@ -534,7 +534,7 @@ def test_only_what_rises_from_an_impact_or_a_ball_shows_what_it_gives_back(monke
 
 
 @pytest.mark.parametrize("act", ["pushed", "held"])
-def test_where_something_unseen_acts_on_a_slide_friction_is_not_stated(act):
+def test_where_something_unseen_acts_on_a_slide_friction_is_not_sure(act):
     """A box that a hand first pushed evenly told a friction of .11 to .13 where .3 was true, and one that a wall
     stopped .27 to .32 where .2 was."""
     time = STEP * np.arange(24)
@@ -546,7 +546,9 @@ def test_where_something_unseen_acts_on_a_slide_friction_is_not_stated(act):
         x = slowed - 0.2 * GRAVITY * slowed**2 / 2
     body = Body("box", "box", np.array([0.08, 0.07, 0.06]), np.eye(4))
     film = motion(body, np.column_stack([x, 0 * x, 0 * x + 0.03]), np.random.default_rng(6), 4e-4, 5e-3)
-    assert not Answer(identify(film, np.random.default_rng(0), draws=40), np.random.default_rng(0)).told
+    answer = Answer(identify(film, np.random.default_rng(0), draws=40), np.random.default_rng(0))
+    low, high = answer.interval("friction")[1:]
+    assert (act == "held") >= ("friction" in answer.told) and low < (0.3 if act == "pushed" else 0.2) < high
 
 
 def test_of_a_floor_that_is_taken_for_level_friction_is_as_unsure():
@@ -565,6 +567,11 @@ def test_of_a_guessed_frame_rate_friction_is_what_any_usual_rate_would_tell():
     assert known.told == ["friction"] and known.interval("friction")[2] < 0.1
     guessed = Answer(found, np.random.default_rng(0), FPS_SPREAD)
     assert not guessed.told
+    sure = found.draws._replace(coordinates=np.where([True, False, True], found.draws.coordinates, 0.5))
+    bounced = found._replace(draws=sure, told=np.ones(3, bool), stated=np.ones(3, bool))
+    for struck, said in ((False, ["restitution"]), (True, [])):  # a ball flies so at one rate alone
+        each = Answer(bounced._replace(struck=struck), np.random.default_rng(0), FPS_SPREAD)
+        assert [name for name in each.told if name == "restitution"] == said
     for name, true in (("friction", 0.3), ("velocity.box", 0.9)):
         low, high = np.quantile(np.ravel(guessed.draws[name].T[:1000]), [0.05, 0.95])
         assert low < true < high
@@ -640,3 +647,12 @@ def test_restitution_is_the_same_wherever_between_two_frames_an_impact_lies():
             first = np.flatnonzero((path[:, 9] > 0) & (path[:, 2] > 0.04))[0]  # it has left the floor
             speed = np.sqrt(path[first, 9] ** 2 + 2 * GRAVITY * (path[first, 2] - 0.04))
             assert abs(speed / np.sqrt(2 * GRAVITY * height) - 0.7) < 0.03
+
+
+def test_draws_that_are_told_less_widen_to_the_priors():
+    draws = 0.2 + 0.1 * np.random.default_rng(0).standard_normal(4000)
+    same, wider, none = (widened(draws, off, -1.0, 0.8) for off in (0.0, 0.3, 1e4))
+    np.testing.assert_allclose(same, draws, atol=1e-12)
+    assert abs(none.mean() + 1.0) < 1e-3 and abs(none.std() - 0.8) < 1e-3
+    likelihood = 1 / (1 / draws.var() - 1 / 0.8**2) + 0.3**2
+    assert abs(wider.var() - 1 / (1 / likelihood + 1 / 0.8**2)) < 1e-9
