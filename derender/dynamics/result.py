@@ -4,6 +4,7 @@ And what will happen (`predict`): films of the engine from drawn states and mate
 """
 
 import json
+import math
 from collections.abc import Callable
 from functools import partial
 from itertools import combinations, product
@@ -27,10 +28,10 @@ from derender.dynamics.engine import (
 )
 from derender.dynamics.inference import Identified
 from derender.dynamics.motion import Motion
+from derender.dynamics.parameters import Parameters
 from derender.dynamics.shooting import RESTS, Shooting
 from derender.dynamics.states import CHANGE, moved, to_poses
 from derender.physics.mujoco_model import Diverged
-from derender.posterior.sampler import systematic
 
 # A number is told by the motion where its standard deviation is at most this share of the prior's: of the few draws
 # that count for something the deviation itself is uncertain by a fifth, and nothing that is untold may pass.
@@ -55,14 +56,13 @@ class Answer:
         the floor's inclination, radians, where it was taken for level."""
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
+        rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
         if found.told[0]:
             lasting = LASTING * max(float(np.exp(np.median(logarithms[:, 1]))) - LEAST_STEADY, 0.0)
-            off = np.hypot(lasting, level_spread) / np.exp(coordinates[:, 0].mean())
-            believed = self.parameters.middle()[0], self.parameters.spread()[0]
-            coordinates[:, 0] = widened(coordinates[:, 0], float(np.hypot(ENGINE_FRICTION, off)), *believed)
-        rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
-        if rate_spread:
-            coordinates, rates = at_rates(found, coordinates, rates, rng)
+            off = float(np.hypot(lasting, level_spread) / np.exp(coordinates[:, 0].mean()))
+            coordinates[:, 0], rates = widened(
+                coordinates[:, 0], np.hypot(ENGINE_FRICTION, off), rate_spread, self.parameters, rng
+            )
         stated = found.stated.copy()
         if rate_spread and found.struck:  # what flies or topples does so at one rate alone
             stated[1:] = False
@@ -136,34 +136,28 @@ class Answer:
             np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
 
 
-def widened(draws: np.ndarray, off: float, middle: float, spread: float) -> np.ndarray:
-    """Return draws (K,) of a number moved to where they are if what was seen tells it with a further standard error.
+def widened(
+    draws: np.ndarray, off: float, rate_spread: float, parameters: Parameters, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return draws (K,) of friction's logarithm moved to where they are if what was seen tells it with a further
+    standard error `off`, and at a rate that is unsure; and of that rate, times the one taken.
 
-    All is taken for normal. middle, spread : of the prior, which remains where nothing is told any more.
+    Through the same poses a thing slides on a level floor with friction by the square of the rate. All is taken for
+    normal, but where the prior ends; it remains where nothing is told any more.
     """
+    middle, spread = parameters.middle()[0], parameters.spread()[0]
     mean, variance = draws.mean(), draws.var()
     told = max(1 / variance - 1 / spread**2, 0.0)  # the likelihood's precision, and the number that it says times that
     says = mean / variance - middle / spread**2
-    share = 1 / (1 + told * off**2)
+    share = 1 / (1 + told * (off**2 + 4 * rate_spread**2))
     precision = share * told + 1 / spread**2
-    return (share * says + middle / spread**2) / precision + (draws - mean) / np.sqrt(variance * precision)
-
-
-def at_rates(
-    found: Identified, coordinates: np.ndarray, rates: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return draws (K, P) of coordinates if frames came at other rates, each draw's (K,) times that of the film, and
-    these; the prior is of what the draws say then.
-
-    Through the same poses a thing slides on a level floor with friction by the square of the rate; bounces last the
-    shorter, and what is left of speeds, and ratios of masses, stay.
-    """
-    powers = np.zeros(coordinates.shape[1])
-    powers[[0, 2]] = np.where(found.told[[0, 2]], [2.0, -1.0], 0.0)
-    changed = coordinates + np.log(rates)[:, None] * powers
-    before, after = (np.array([found.parameters.log_prior(each) for each in every]) for every in (coordinates, changed))
-    at = rng.permutation(systematic(rng, np.exp(after - before - np.max(after - before))))
-    return changed[at], rates[at]
+    wide = (share * says + middle / spread**2) / precision + (draws - mean) / np.sqrt(variance * precision)
+    within = np.isfinite([parameters.prior.friction.log_density(math.exp(each)) for each in wide])
+    if within.any():
+        wide[~within] = rng.choice(wide[within], np.sum(~within))
+    left = rate_spread * np.sqrt(1 - 4 * rate_spread**2 * share * told)
+    rates = 2 * rate_spread**2 * share * (told * wide - says) + left * rng.standard_normal(len(wide))
+    return wide, np.exp(rates)
 
 
 # Bodies have entered each other by more than tracking is off, metres: the engine would throw them apart.

@@ -650,9 +650,19 @@ def test_restitution_is_the_same_wherever_between_two_frames_an_impact_lies():
 
 
 def test_draws_that_are_told_less_widen_to_the_priors():
-    draws = 0.2 + 0.1 * np.random.default_rng(0).standard_normal(4000)
-    same, wider, none = (widened(draws, off, -1.0, 0.8) for off in (0.0, 0.3, 1e4))
-    np.testing.assert_allclose(same, draws, atol=1e-12)
-    assert abs(none.mean() + 1.0) < 1e-3 and abs(none.std() - 0.8) < 1e-3
-    likelihood = 1 / (1 / draws.var() - 1 / 0.8**2) + 0.3**2
-    assert abs(wider.var() - 1 / (1 / likelihood + 1 / 0.8**2)) < 1e-9
+    rng = np.random.default_rng(0)
+    draws, parameters = np.log(0.2) + 0.1 * rng.standard_normal(4000), shooting_of(slide(0.3, 1.0, rng)).parameters
+
+    def told(off, rate_spread):
+        return widened(draws, off, rate_spread, parameters, np.random.default_rng(1))
+
+    np.testing.assert_allclose(told(0.0, 0.0)[0], draws, atol=1e-12)
+    none = told(1e4, 0.0)[0]
+    assert abs(none.mean() - parameters.middle()[0]) < 1e-3 and abs(none.std() - parameters.spread()[0]) < 1e-3
+    likelihood = 1 / (1 / draws.var() - 1 / parameters.spread()[0] ** 2)
+    wide, rates = told(0.3, 0.5)
+    assert abs(1 / wide.var() - 1 / (likelihood + 0.3**2 + 1.0) - 1 / parameters.spread()[0] ** 2) < 1e-6
+    # the rate given friction, as of three normal numbers that sum to what is seen
+    slope = np.polyfit(wide, np.log(rates), 1)[0]
+    assert abs(slope - 0.5 / (likelihood + 0.3**2 + 1.0)) < 0.03
+    assert abs(np.log(rates).mean() - slope * (wide.mean() - np.log(0.2))) < 0.05
