@@ -26,6 +26,7 @@ LEVEL_SPREAD = (
 MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
 FAR_APART, ONE_G = 5.0, 0.1  # seconds between frames, and m/s^2 off 1, that look like another unit
+DARK = 0.5  # share of a film's usual pixels with depth below which a first frame is too dark to begin with
 SAID = 5  # frames at most that a note names
 WHOLE, MOST_CHANNELS = (".npz", ".npy"), 4  # files that may hold a whole film; an array of more is no colour image
 
@@ -164,9 +165,10 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
             seen.append(read_depth(path, camera, depth_scale, may_be_empty=True))
             check_size(seen[-1].depth, seen[0].depth, path)
     frames = [each.depth for each in seen]
-    dark = next((t for t, frame in enumerate(frames) if shows(frame)), None)
-    if dark is None:
+    shown = np.array([np.sum(np.isfinite(frame) & (frame > 0)) for frame in frames])
+    if not shown.any():
         raise DerenderError("no frame has a pixel with a depth", where, "give images that show something")
+    dark = int(np.argmax(shown >= DARK * np.median(shown[shown > 0])))
     if timing.times is not None and len(timing.times) != len(frames):
         what = f"there are {len(frames)} frames and {len(timing.times)} times"
         raise DerenderError(what, camera or where, "give one time for each frame")
@@ -184,9 +186,9 @@ def shows(frame: np.ndarray) -> bool:
 
 
 def dark_start(count: int, name: str) -> str:
-    """Return what is said of first frames without depth."""
-    frames = f"the first {count} frames have" if count > 1 else "the first frame has"
-    return f"{frames} no pixel with a depth: beginning with {name}"
+    """Return what is said of first frames with hardly a depth."""
+    frames = f"the first {count} frames show" if count > 1 else "the first frame shows"
+    return f"{frames} hardly a depth: beginning with {name}"
 
 
 def _odd_units(film: Film) -> list[str]:

@@ -113,7 +113,7 @@ def test_a_film_begins_with_the_first_frame_that_shows_something_and_time_with_t
     """Sensors' first frames are often dark: such a film was refused."""
     folder = write(tmp_path / "f", 5, fps=10)
     for t in (0, 1):
-        np.save(folder / f"frame_{t}.npy", np.zeros((48, 64), np.float32))
+        np.save(folder / f"frame_{t}.npy", np.where(np.arange(64) < 10 * t, 0.9, np.zeros((48, 64), np.float32)))
     film = read_film([folder])
     assert film.names == ["frame_2.npy", "frame_3.npy", "frame_4.npy"] and np.allclose(film.times, [0.2, 0.3, 0.4])
     assert len(film.frames) == 3 and "first 2 frames" in film.notes[0] and "frame_2.npy" in film.notes[0]
