@@ -18,6 +18,7 @@ NEW_FRAMES = 2  # on end that it must be there
 LOOKS = 6  # times at most that a film is searched for new things: each is an inference
 ENTERING = (0.02, 0.1, 0.02)  # metres, radians, metres: how unsure a thing is that has just come in
 SHARE = 0.5  # of a new solid's pixels that nothing else explains
+ALONE = "{0} is alone: whether it or the camera moves along the floor is not told by the film; add a thing that rests"
 UP = 9.81  # m/s^2 along the floor's normal where nobody gave gravity
 
 
@@ -92,6 +93,8 @@ class Recorder:
         if start.floor is not None and self.gravity @ start.floor[:3, 2] > 0:
             self.gravity = -self.gravity
             self.notes.append("gravity as given points up from the floor, as an accelerometer reads: taking it down")
+        if moving_camera and len(start.things) == 1:
+            self.notes.append(ALONE.format(start.things[0].name))
         self.tracker = Tracker(camera, start, depth, self.gravity, step, moving_camera)
         self.seen: list[Seen] = [self.tracker.report([])]
         self.sizes = [np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3)]

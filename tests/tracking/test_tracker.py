@@ -36,6 +36,15 @@ def test_gravity_that_points_up_from_the_floor_is_an_accelerometers_and_taken_do
         assert np.allclose(recorder.gravity, GRAVITY) and len(recorder.notes) == notes
 
 
+@pytest.mark.parametrize("count, moving, said", [(1, True, True), (2, True, False), (1, False, False)])
+def test_with_one_thing_alone_a_moving_cameras_path_along_the_floor_is_said_to_be_open(count, moving, said):
+    """Of ten films of a moving camera in four the only thing slid and was said to rest: the camera seemed to follow."""
+    paths = [[at(-0.1 + 0.2 * k, 0, 0.03) for k in range(count)]]
+    frames, poses = film(np.random.default_rng(0), ["box"] * count, [[0.06] * 3] * count, paths)
+    track = follow(frames, start(["box"] * count, [[0.06] * 3] * count, poses[0]), moving).track()
+    assert any("is alone" in note for note in track.notes) == said
+
+
 def test_pixels_beside_a_step_are_unsure_though_the_sensor_lost_those_between():
     """Drawn as the mean of both sides they were wrong by tens of their deviations, and held boxes in false places."""
     depth, spread = np.tile(np.where(np.arange(12) < 6, 0.7, 0.8), (12, 1)), np.empty((12, 12))
