@@ -37,6 +37,10 @@ from derender.physics.mujoco_model import Diverged
 # that count for something the deviation itself is uncertain by a fifth, and nothing that is untold may pass.
 TOLD = 0.35
 LEVEL = 0.9
+# An error that is learnt to be so many of its prior's standard deviations above what is usual: the film is not one of
+# things left alone at these times, under this gravity, seen by this camera.
+UNEXPLAINED = 3.0
+NOT_ALONE = "no materials explain this motion: is the frame rate, the gravity or the camera wrong, or does a hand help?"
 
 
 class Answer:
@@ -47,6 +51,7 @@ class Answer:
         error.steady, error.tracking and error.turning, the `Scales` of the engine. Numbers that may not be stated,
         such as restitution of what never rebounds, have the prior's draws.
     told : names of the numbers that the motion tells.
+    unexplained : whether no materials explain the motion, by how large the errors are then: nothing is told.
     """
 
     def __init__(
@@ -63,7 +68,9 @@ class Answer:
             coordinates[:, 0], rates = widened(
                 coordinates[:, 0], np.hypot(ENGINE_FRICTION, off), rate_spread, self.parameters, rng
             )
-        stated = found.stated.copy()
+        usual, spread = self.parameters.prior.log_scales()
+        self.unexplained = bool((np.median(logarithms, axis=0) > usual + UNEXPLAINED * spread).any())
+        stated = found.stated & (not self.unexplained)
         if rate_spread and found.struck:  # what flies or topples does so at one rate alone
             stated[1:] = False
         unstated = found.told & ~stated
@@ -110,7 +117,7 @@ class Answer:
 
     def lines(self) -> list[str]:
         """Return a line for each number: mean and 90 % interval, or that the motion does not tell it."""
-        lines = []
+        lines = [NOT_ALONE] if self.unexplained else []
         for name in self.parameters.labels:
             mean, low, high = self.interval(name)
             words = name.split(".")

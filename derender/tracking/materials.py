@@ -9,7 +9,7 @@ from derender.atomic import write_text
 from derender.dynamics.inference import Identified, identify
 from derender.dynamics.motion import Motion, motion_of
 from derender.dynamics.parameters import Prior
-from derender.dynamics.result import LEVEL, Answer, predict
+from derender.dynamics.result import LEVEL, NOT_ALONE, Answer, predict
 from derender.dynamics.shooting import RESTS
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter
@@ -129,9 +129,11 @@ def materials_to_folder(
         raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
     rng = np.random.default_rng(seed)
     found = identify(motion, rng, prior)
-    answer, ahead = Answer(found, rng, track.rate_spread, track.level_spread), rests_ahead(found, motion, rng)
+    answer = Answer(found, rng, track.rate_spread, track.level_spread)
+    ahead = {} if answer.unexplained else rests_ahead(found, motion, rng)
     answer.write(folder / "dynamics.npz", seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
+    said["notes"] = [*said.get("notes", ()), *([NOT_ALONE] if answer.unexplained else ())]
     write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json(), "ahead": ahead}))
     lines = answer.lines()
     for name, told in ahead.items():

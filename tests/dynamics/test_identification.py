@@ -10,7 +10,7 @@ from derender.dynamics.engine import ENGINE_FRICTION, FIRMER, SLIDING_RESTITUTIO
 from derender.dynamics.inference import ENOUGH, first_coordinates, identify, sample
 from derender.dynamics.motion import HELD_TURN, HELD_WITHIN, motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.result import Answer, widened
+from derender.dynamics.result import NOT_ALONE, Answer, widened
 from derender.dynamics.shooting import FIRST_SPEED, FIRST_SPIN, Shooting
 from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
@@ -647,6 +647,16 @@ def test_restitution_is_the_same_wherever_between_two_frames_an_impact_lies():
             first = np.flatnonzero((path[:, 9] > 0) & (path[:, 2] > 0.04))[0]  # it has left the floor
             speed = np.sqrt(path[first, 9] ** 2 + 2 * GRAVITY * (path[first, 2] - 0.04))
             assert abs(speed / np.sqrt(2 * GRAVITY * height) - 0.7) < 0.03
+
+
+@pytest.mark.parametrize("share, explained", [(1.0, True), (0.8, False)])
+def test_what_no_materials_explain_tells_nothing(share, explained):
+    """A film that was said to have .8 of its frame rate told a restitution of .03 to .24 where .45 was true."""
+    film = bounce(0.6, np.random.default_rng(2))
+    film = film._replace(matter=film.matter._replace(gravity=film.matter.gravity / share**2))
+    answer = Answer(identify(film, np.random.default_rng(0), draws=40), np.random.default_rng(0))
+    assert answer.unexplained != explained and (answer.told == []) != explained
+    assert (NOT_ALONE in answer.lines()) != explained
 
 
 def test_draws_that_are_told_less_widen_to_the_priors():

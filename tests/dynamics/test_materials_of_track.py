@@ -71,6 +71,7 @@ def test_where_the_camera_is_off_things_are_so_the_other_way_in_all_frames_toget
 
 def test_what_a_bounce_takes_is_said_in_seconds():
     answer = Answer.__new__(Answer)
+    answer.unexplained = False
     answer.parameters, answer.told = Parameters(("box",), np.ones(1), read_dynamics_prior()), ["contact_time"]
     answer.draws = {name: np.full(9, 0.004) for name in answer.parameters.labels}
     answer.draws["velocity.box"] = np.zeros((9, 3))
