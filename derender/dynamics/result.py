@@ -19,7 +19,6 @@ from derender.dynamics.engine import (
     ENGINE_FRICTION,
     ENGINE_RESTITUTION,
     LASTING,
-    LEAST_STEADY,
     LEVER,
     Engine,
     Material,
@@ -61,14 +60,14 @@ class Answer:
         the floor's inclination, radians, where it was taken for level."""
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
+        usual, spread = self.parameters.prior.log_scales()
         rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
         if found.told[0]:
-            lasting = LASTING * max(float(np.exp(np.median(logarithms[:, 1]))) - LEAST_STEADY, 0.0)
+            lasting = LASTING * max(float(np.exp(np.median(logarithms[:, 1])) - np.exp(usual[1])), 0.0)
             off = float(np.hypot(lasting, level_spread) / np.exp(coordinates[:, 0].mean()))
             coordinates[:, 0], rates = widened(
                 coordinates[:, 0], np.hypot(ENGINE_FRICTION, off), rate_spread, self.parameters, rng
             )
-        usual, spread = self.parameters.prior.log_scales()
         self.unexplained = bool((np.median(logarithms, axis=0) > usual + UNEXPLAINED * spread).any())
         stated = found.stated & (not self.unexplained)
         if rate_spread and found.struck:  # what flies or topples does so at one rate alone
