@@ -38,11 +38,12 @@ QUICK = 1000  # draws of all chains together, below which it was a quick look
 SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where too few change it to tell R-hat
 MARGIN = 2.5  # times the draws that seem enough
 LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
-LIKELY_FLOOR = 0.05  # probability of another plane to be the floor from which on the result is not to be trusted
+LIKELY_FLOOR = 0.05  # probability of another plane to be the floor from which on that is told
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 SURE_EXISTENCE = 0.75  # probability that a trusted free-form thing is an object
 MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely as not, within the probability's error
-# Objects, and share of those told, that may be expected to be wrong: clutter that is told, and objects that are not.
+# Objects, and share of those told, that may be expected to be wrong: clutter that is told, objects that are not, and
+# all, or that there is nothing, if another plane is the floor.
 # One thing at less than three to two is too much. (Of 57 answers to variants of labelled real frames with nothing else
 # to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
 MOST_WRONG, FEW = 0.4, 0.05
@@ -106,10 +107,6 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     """
     lost = len(posterior.meta.get("lost_chains", ()))
     doubts = [f"{lost} of the chains died"] if lost else []
-    for other in posterior.meta.get("other_floors", ()):
-        if (likely := other["probability"]) > LIKELY_FLOOR:
-            plane = ",".join(f"{number:.3g}" for number in other["plane"])
-            doubts.append(f"another plane may be the floor, with a probability of {likely:.2f}: --floor={plane}")
     told = [
         Doubt(f"{name} is an object with a probability of {known:.2f} only: it may be clutter or a piece of one",
               False, about=(name,))
@@ -120,7 +117,14 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     none = sum(1.0 - posterior.object_probability(name) for name in solids)
     # What the image's border cuts is nowhere seen as it is: its like may be missed, and all the rest be right.
     more = sum(probability for probability, *_ in posterior.meta.get("clutter", ()))
-    if none + more > max(MOST_WRONG, FEW * len(solids)):
+    floors = [other for other in posterior.meta.get("other_floors", ()) if other["probability"] > LIKELY_FLOOR]
+    all_wrong = max(len(solids), 1) * sum(other["probability"] for other in floors)
+    serious = none + more + all_wrong > max(MOST_WRONG, FEW * len(solids))
+    for other in floors:
+        plane = ",".join(f"{number:.3g}" for number in other["plane"])
+        words = f"another plane may be the floor, with a probability of {other['probability']:.2f}: --floor={plane}"
+        told.append(Doubt(words, serious, about=None if serious else ()))
+    if serious and max(none, more) >= TOLD_COUNT:
         parts = {f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others": none,
                  f"{more:.1f} objects are expected in what else is seen": more}  # fmt: skip
         doubts.append(", and ".join(words for words, count in parts.items() if count >= TOLD_COUNT))

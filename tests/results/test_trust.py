@@ -86,6 +86,21 @@ def test_an_answer_is_doubted_in_which_much_is_expected_to_be_wrong(count, known
 
 
 @pytest.mark.parametrize(
+    "count, likely, expected", [(1, 0.08, False), (0, 0.37, False), (0, 0.45, True), (1, 0.35, False), (5, 0.09, True)]
+)
+def test_another_floor_counts_by_how_much_would_be_wrong_with_it(count, likely, expected):
+    """A mug on a table of P .92, the rest a floor or wall behind, was not trusted where clutter of P .35 was."""
+    posterior = seen_by_a_sensor(0.0)
+    posterior.object_probability = lambda name: 0.995
+    posterior.meta["other_floors"] = [{"probability": likely, "plane": (0.0, 0.0, -1.0, 0.8)}]
+    vertices = [SimpleNamespace(name=f"box_{k}", body=posterior.best_part.graph.body("")) for k in range(count)]
+    posterior.best_part.graph.vertices = vertices
+    (doubt,) = chain_doubts(posterior, [])
+    assert doubt.words.startswith(f"another plane may be the floor, with a probability of {likely}")
+    assert doubt.serious == expected and (doubt.about is None) == expected
+
+
+@pytest.mark.parametrize(
     "address, spread", [("box_1.contact.theta", 0.01), ("box_1.width", 0.001), ("box_1.contact.qy", 0.005)]
 )
 def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address, spread):
