@@ -194,10 +194,12 @@ def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
     square = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
     if square.min() > (CLOSE * narrow) ** 2:
         return False
-    farther = second if away @ apart > 0.0 else first
+    nearer, farther = (first, second) if away @ apart > 0.0 else (second, first)
+    before = nearer[:, :2] @ sight[1]
     far, aside = sight @ farther[:, :2].T
-    half = 0.5 * np.ptp(aside)
-    bent = np.column_stack([np.ones_like(aside), aside, ((aside - aside.mean()) / half) ** 2, farther[:, 2]])
+    within = (before.min() < aside) & (aside < before.max())  # beyond it a handle shows
+    far, aside, half = far[within], aside[within], 0.5 * np.ptp(aside[within])
+    bent = np.column_stack([np.ones_like(aside), aside, ((aside - aside.mean()) / half) ** 2, farther[within, 2]])
     return bool(-np.linalg.lstsq(bent, far, rcond=None)[0][2] > BENT * 2.0 * half)
 
 

@@ -606,6 +606,8 @@ def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
     camera = np.array([0.0, -0.6, 0.5])
     assert one_rim(outside, inside, camera)
     assert one_rim(3.0 * outside, 3.0 * inside, 3.0 * camera)  # a bucket
+    handle = np.array([[x, 0.06 + y, 0.08] for x in np.linspace(-0.055, -0.03, 12) for y in np.linspace(0.0, 0.02, 8)])
+    assert one_rim(outside, np.vstack([inside, handle]), camera)  # farther than its middle, but beside it
     small = 0.3 * inside + [0.0, 0.05, 0.07]
     assert not one_rim(outside, small, camera)  # something narrow as high as it, close behind it
     assert not one_rim(outside, outside + [0.09, 0.0, 0.0], camera)  # beside it
