@@ -5,6 +5,7 @@ could not be where it is, or hardly ever is, unless it were a part of what it to
 """
 
 from collections.abc import Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.outline import ends_of, vertical_axis
 from derender.detection.patches import SeenSurface
 from derender.detection.search.bodies import TIGHT, label_bodies
+from derender.detection.search.moves import ALIGNED, alignment, extents_along
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import Image, rotation_of
@@ -54,6 +56,8 @@ OVER, PARTED = 0.75, 0.1
 # Of a free-form thing's pixels, and of its own outline: what shows so little beside it and meets it along so much is an
 # arm or a foot of it. What stands before something so much larger and touches it all along is rare.
 LITTLE, ALONG = 0.1, 1.0 / 3.0
+# Metres by which sides that lie in one plane are seen apart: real sensors' faces are off by some 3 mm.
+FLUSH = 0.004
 
 
 def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[State, list[Any]]:
@@ -67,7 +71,13 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
     masks : [(H, W) bool] of free-form things.
     """
     masks, surface = list(masks), seen.surface
-    while parts := held_by_another(state) or falling(state) or neck(state, seen.image) or hollow(seen, state):
+    while (
+        parts := held_by_another(state)
+        or falling(state)
+        or neck(state, seen.image)
+        or hollow(seen, state)
+        or arms(state, FLUSH * seen.scale)
+    ):
         state, found = joined(seen, state, parts)
         masks += found
     if not masks and not len(state):
@@ -212,6 +222,29 @@ def hollow(seen: Observation, state: State) -> tuple[int, ...] | None:
         if (shown & deep & seen_within(seen, state.rows[i])).sum() > HOLLOW * shown.sum():
             return (i,)
     return None
+
+
+def arms(state: State, flush: float) -> tuple[int, int] | None:
+    """Return (i, j), two upright boxes that bear nothing else and are the arms of an L, see `an_l`; else None."""
+    boxes = [k for k, row in enumerate(state.rows) if int(row[0]) == BOX and state.forms[k] == UPRIGHT]
+    for i, j in permutations(boxes, 2):
+        upon, beside = state.parents[i] == j, i < j and state.parents[i] == state.parents[j]
+        borne = any(k != i and parent in (i, j) for k, parent in enumerate(state.parents))
+        if (upon or beside) and not borne and an_l(state.rows[j], state.rows[i], upon, flush):
+            return i, j
+    return None
+
+
+def an_l(row: np.ndarray, other: np.ndarray, upon: bool, flush: float) -> bool:
+    """Return whether two upright boxes, of which one stands `upon` the first or beside it, rather are an L: they touch,
+    and meet on three sides, or on both of one level axis, to within `flush`, which it would be a chance if two did. Two
+    of one kind are put so on purpose."""
+    if alignment(row, other) < ALIGNED or abs(gap_between(row, other)) > flush:
+        return False
+    low, high = extents_along(row, other)
+    even = np.abs([low + 0.5 * row[13:16], high - 0.5 * row[13:16]])[:, :2] < flush
+    alike = np.ptp([np.sort(each[13:16]) for each in (row, other)], axis=0).max() < flush
+    return bool(even.sum() >= 3 if upon else even.all(axis=0).any()) and not alike
 
 
 def alone_on(state: State, i: int) -> tuple[int, ...]:

@@ -13,11 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from derender.detection.compounds import neck
+from derender.detection.compounds import FLUSH, an_l, neck
 from derender.detection.freestanding import without_thing
 from derender.detection.leftovers import LEFT_PIXELS, polished
 from derender.detection.search.greedy import Settings
-from derender.detection.search.moves import ALIGNED, alignment, extents_along
 from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import AS_SEEN
@@ -43,7 +42,6 @@ from derender.structures.draws.refined import (
 # Times as far as half of the floor's pixels are off it half of those of a solid are that may be two, at least; and of
 # each of two, at most: what is no such solid exactly, a bottle or a book, is none of two either.
 EXACT, INEXACT = 1.05, 2.0
-FLUSH = 0.004  # metres by which sides that are flush are seen apart: real sensors' faces are off by some 3 mm
 # Of the stacks of each pair of kinds that are climbed, and of those that are climbed farther; times as far off as after
 # that they may be before it: of those that ended as stacks all were less than 2.6 times.
 TRIED, ROUGHLY = 2, 3.0
@@ -163,14 +161,11 @@ def as_stack(rng: np.random.Generator, seen: Observation, refined: Refined, stat
 
 
 def parts_of_one(state: State, i: int, flush: float) -> bool:
-    """Whether solid `i` and the last one, which stands on it, rather are one thing: a bottle and its neck, or an L, two
-    boxes whose sides meet on three sides to within `flush`, which it would be a chance if two did."""
+    """Whether solid `i` and the last one, which stands on it, rather are one thing: a bottle and its neck, or an L."""
     lower, upper = state.rows[i], state.rows[-1]
     if int(lower[0]) != BOX or int(upper[0]) != BOX:
         return neck(state) == (len(state) - 1, i)
-    low, high = extents_along(lower, upper)
-    apart = np.abs([low + 0.5 * lower[13:16], high - 0.5 * lower[13:16]])[:, :2]
-    return bool(alignment(lower, upper) > ALIGNED and np.count_nonzero(apart < flush) >= 3)
+    return an_l(lower, upper, True, flush)
 
 
 def stacks(rng: np.random.Generator, seen: Observation, shown: np.ndarray, state: State, i: int,

@@ -6,6 +6,7 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 from table_scenes import CAMERA, bowl, seen_on_the_table
 
+from derender.detection.compounds import FLUSH, arms
 from derender.detection.estimate import settings_for
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, observe
@@ -15,7 +16,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import made_thing
 from derender.scene.pose import rotation_x
 from derender.scene.solids import BOX, CYLINDER, MESH
-from derender.structures.stacks import FLUSH, badness, inexact, parts_of_one, with_stacks
+from derender.structures.stacks import badness, inexact, parts_of_one, with_stacks
 
 # A can with a box on it: of what a solid hides of another nothing shows.
 STACK = (CYLINDER, 0.0, 0.0, (0.08, 0.08, 0.06), None), (BOX, 0.01, 0.0, (0.05, 0.045, 0.11), None)
@@ -115,3 +116,33 @@ def test_a_bottle_s_neck_and_an_l_s_arms_are_parts_of_one():
     assert not one(CYLINDER, can, (0.06, 0.06, 0.06), 0.0)
     foot = (0.08, 0.045, 0.03)
     assert one(BOX, foot, (0.03, 0.045, 0.05), 0.024) and not one(BOX, foot, (0.03, 0.045, 0.05), 0.012)
+
+
+@pytest.mark.parametrize(
+    "size, middle, parent, expected",
+    [((0.03, 0.045, 0.07), 0.055, FLOOR, True),  # beside the foot's end, as wide
+     ((0.03, 0.045, 0.05), 0.025, 0, True),  # on its end
+     ((0.03, 0.054, 0.07), 0.055, FLOOR, False),  # wider
+     ((0.03, 0.045, 0.07), 0.065, FLOOR, False),  # a centimetre beside it
+     ((0.03, 0.045, 0.05), 0.012, 0, False),  # not at its end
+     ],
+)  # fmt: skip
+def test_two_boxes_that_are_flush_are_the_arms_of_an_l(size, middle, parent, expected):
+    """Seven of fourteen L-shapes were told as two boxes, each at P .99, where the search found two."""
+    foot = (0.08, 0.045, 0.03)
+    bottom = foot[2] if parent == 0 else 0.0
+    rows = [make_row(BOX, np.eye(3), np.array(place), np.array(extents)) for place, extents in
+            (((0.0, 0.0, 0.015), foot), ((middle, 0.001, bottom + 0.5 * size[2]), size))]  # fmt: skip
+    state = State().add(rows[0], UPRIGHT, False, FLOOR, 0.0).add(rows[1], UPRIGHT, False, parent, bottom)
+    found = arms(state, FLUSH)
+    assert (found is not None) == expected and (found is None or set(found) == {0, 1})
+    if parent == FLOOR:
+        assert arms(state.add(rows[1] + np.eye(1, len(rows[1]), 12)[0], UPRIGHT, False, 1, 0.08), FLUSH) is None
+
+
+def test_two_boxes_of_one_kind_are_put_flush_on_purpose():
+    size = np.array([0.08, 0.045, 0.03])
+    lying, upright = (make_row(BOX, np.eye(3), np.array([x, 0.0, 0.5 * extents[2]]), extents)
+                      for x, extents in ((0.0, size), (0.055, size[[2, 1, 0]])))  # fmt: skip
+    state = State().add(lying, UPRIGHT, False, FLOOR, 0.0).add(upright, UPRIGHT, False, FLOOR, 0.0)
+    assert arms(state, FLUSH) is None
