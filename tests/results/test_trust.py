@@ -85,6 +85,17 @@ def test_an_answer_is_doubted_in_which_much_is_expected_to_be_wrong(count, known
     assert not any("0.0" in doubt.words for doubt in doubts)  # nothing is told of none
 
 
+def test_what_the_likeliest_structure_leaves_out_is_expected_nevertheless():
+    """Of a mug one side was told and the other, likelier clutter than an object by a hair, was not: it was trusted."""
+    posterior = seen_by_a_sensor(0.0)
+    posterior.best_part.extras["absent"] = ["thing_2"]
+    posterior.object_probability = lambda name: 0.45 if name == "thing_2" else 0.97
+    (doubt,) = chain_doubts(posterior, [])
+    assert doubt.serious and doubt.words == "0.5 objects are expected in what else is seen"  # .45 of one
+    posterior.object_probability = lambda name: 0.2 if name == "thing_2" else 0.97
+    assert not chain_doubts(posterior, [])
+
+
 @pytest.mark.parametrize(
     "count, likely, expected", [(1, 0.08, False), (0, 0.37, False), (0, 0.45, True), (1, 0.35, False), (5, 0.09, True)]
 )
