@@ -23,6 +23,8 @@ RIM = 40  # pixels of a piece that may be the inside or the outside of another
 # Of the narrower one's width as the camera sees it: how far apart they may be, with nothing between but the bottom or
 # what returned nothing, how much higher one, and how much wider both together.
 CLOSE, SAME_TOP, WIDER = 0.6, 0.2, 1.6
+# The same of two sides that are level, as those of one rim are: a bowl tapers, and its near side shows less wide.
+LEVEL, TAPERS = 0.05, 2.5
 BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
 # Most times as deep as wide that both together may be as the camera sees them: two mugs, one behind the other, are
 # twice as deep; and least of its width by which the middle of the farther one lies farther than its sides.
@@ -185,19 +187,23 @@ def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
     if abs(away @ apart) < BEHIND * np.linalg.norm(away) * np.linalg.norm(apart):
         return False
     sight = np.array([away, [-away[1], away[0]]]) / np.linalg.norm(away)
-    deep, wide = np.ptp(np.vstack([first, second])[:, :2] @ sight.T, axis=0)
+    nearer, farther = (first, second) if away @ apart > 0.0 else (second, first)
+    wide = float(np.ptp(np.vstack([first, second])[:, :2] @ sight[1]))
     narrow = min(np.ptp(cloud[:, :2] @ sight[1]) for cloud in (first, second))
+    deep = np.quantile(farther[:, :2] @ sight[0], 0.9) - np.quantile(nearer[:, :2] @ sight[0], 0.1)
     tops = [np.quantile(cloud[:, 2], 0.98) for cloud in (first, second)]
-    if deep > DEEPER * wide or wide > WIDER * narrow or abs(tops[0] - tops[1]) > SAME_TOP * narrow:
+    uneven = abs(tops[0] - tops[1]) / narrow
+    if deep > DEEPER * wide or uneven > SAME_TOP or wide > (WIDER if uneven > LEVEL else TAPERS) * narrow:
         return False
     a, b = (cloud[:: max(1, len(cloud) // MOST_POINTS)] for cloud in (first, second))
     square = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
     if square.min() > (CLOSE * narrow) ** 2:
         return False
-    nearer, farther = (first, second) if away @ apart > 0.0 else (second, first)
     before = nearer[:, :2] @ sight[1]
     far, aside = sight @ farther[:, :2].T
     within = (before.min() < aside) & (aside < before.max())  # beyond it a handle shows
+    if within.sum() < RIM:
+        return False
     far, aside, half = far[within], aside[within], 0.5 * np.ptp(aside[within])
     bent = np.column_stack([np.ones_like(aside), aside, ((aside - aside.mean()) / half) ** 2, farther[within, 2]])
     return bool(-np.linalg.lstsq(bent, far, rcond=None)[0][2] > BENT * 2.0 * half)

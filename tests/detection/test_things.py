@@ -617,6 +617,11 @@ def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
     bowl, apart = [2.0, 2.0, 1.0], [0.0, 0.02, 0.0]
     assert one_rim(outside * bowl - apart, inside * bowl + apart, camera)  # its bottom is too low to be told
     assert not one_rim(outside * [1.0, 2.0, 1.0], inside * [1.0, 2.0, 1.0], camera)  # two, one behind the other
+    crescent = outside[np.abs(outside[:, 0]) < 0.022] + [0.0, 0.02, 0.0]
+    assert one_rim(crescent, inside, camera)  # a bowl tapers: of its outside less shows than of its inside
+    assert not one_rim(crescent - [0.0, 0.0, 0.004], inside, camera)  # something lower before it
+    deep = np.vstack([inside, handle - [0.03, -0.03, 0.0]])
+    assert one_rim(outside, deep, camera)  # its handle shows behind it
 
 
 def test_the_bottom_of_a_cup_is_no_object_beside_its_wall():
