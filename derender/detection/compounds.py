@@ -239,7 +239,7 @@ def an_l(row: np.ndarray, other: np.ndarray, upon: bool, flush: float) -> bool:
     """Return whether two upright boxes, of which one stands `upon` the first or beside it, rather are an L: they touch,
     and meet on three sides, or on both of one level axis, to within `flush`, which it would be a chance if two did. Two
     of one kind are put so on purpose."""
-    if alignment(row, other) < ALIGNED or abs(gap_between(row, other)) > flush:
+    if alignment(row, other) < ALIGNED or abs(gap_between(row, other)) > HELD:
         return False
     low, high = extents_along(row, other)
     even = np.abs([low + 0.5 * row[13:16], high - 0.5 * row[13:16]])[:, :2] < flush

@@ -123,7 +123,7 @@ def test_a_bottle_s_neck_and_an_l_s_arms_are_parts_of_one():
     [((0.03, 0.045, 0.07), 0.055, FLOOR, True),  # beside the foot's end, as wide
      ((0.03, 0.045, 0.05), 0.025, 0, True),  # on its end
      ((0.03, 0.054, 0.07), 0.055, FLOOR, False),  # wider
-     ((0.03, 0.045, 0.07), 0.065, FLOOR, False),  # a centimetre beside it
+     ((0.03, 0.045, 0.07), 0.07, FLOOR, False),  # 15 mm beside it
      ((0.03, 0.045, 0.05), 0.012, 0, False),  # not at its end
      ],
 )  # fmt: skip
