@@ -15,7 +15,7 @@ from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.outline import ends_of, vertical_axis
 from derender.detection.patches import SeenSurface
 from derender.detection.search.bodies import TIGHT, label_bodies
-from derender.detection.search.moves import ALIGNED, alignment, extents_along
+from derender.detection.search.moves import alignment, extents_along
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import Image, rotation_of
@@ -58,6 +58,8 @@ OVER, PARTED = 0.75, 0.1
 LITTLE, ALONG = 0.1, 1.0 / 3.0
 # Metres by which sides that lie in one plane are seen apart: real sensors' faces are off by some 3 mm.
 FLUSH = 0.004
+# Times as far apart a third one may be, which may be hidden; cosine between sides that are parallel.
+UNSEEN, PARALLEL = 2.0, np.cos(np.radians(3.0))
 
 
 def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[State, list[Any]]:
@@ -188,17 +190,23 @@ def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None
     """Return (State without some solids, [mask]) with what they show as one free-form thing, if it is seen.
 
     What is seen within a solid is the inside of a hollow one, as of a mug, and what goes on from it before it is its
-    handle.
+    handle; so is what little goes on beyond it, as a bowl's rim does beyond the ball that is as round.
 
     parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already.
     """
     image = seen.image
-    _, label, misfit, _ = held_out(image, state, -1)
+    depth, label, misfit, _ = held_out(image, state, -1)
     inside = np.any([seen_within(seen, state.rows[k]) for k in parts], axis=0)
     own = np.isin(label, parts) & (image.weight > 0)
     whole = own & ((misfit < LIMIT) | inside)
     body, _ = label_bodies(seen.points, whole | (own & seen.mask), seen.surface.jump)
     whole = np.isin(body, body[whole])
+    beyond = seen.mask & ~whole & (misfit > BAD) & (image.depth < depth)
+    body, _ = label_bodies(seen.points, whole | beyond, seen.surface.jump)
+    beyond &= np.isin(body, body[whole])
+    body, count = label_bodies(seen.points, beyond, seen.surface.jump)
+    pixels = np.bincount(body[beyond], minlength=count)
+    whole |= beyond & np.isin(body, np.flatnonzero(pixels < HANDLE * whole.sum()))
     if piece is not None:
         whole |= piece
     state = state.without(*parts)
@@ -239,12 +247,13 @@ def an_l(row: np.ndarray, other: np.ndarray, upon: bool, flush: float) -> bool:
     """Return whether two upright boxes, of which one stands `upon` the first or beside it, rather are an L: they touch,
     and meet on three sides, or on both of one level axis, to within `flush`, which it would be a chance if two did. Two
     of one kind are put so on purpose."""
-    if alignment(row, other) < ALIGNED or abs(gap_between(row, other)) > HELD:
+    if alignment(row, other) < PARALLEL or abs(gap_between(row, other)) > HELD:
         return False
     low, high = extents_along(row, other)
-    even = np.abs([low + 0.5 * row[13:16], high - 0.5 * row[13:16]])[:, :2] < flush
+    off = np.abs([low + 0.5 * row[13:16], high - 0.5 * row[13:16]])[:, :2]
+    even = np.sort(off, axis=None)[1:3] if upon else off.max(axis=0).min()
     alike = np.ptp([np.sort(each[13:16]) for each in (row, other)], axis=0).max() < flush
-    return bool(even.sum() >= 3 if upon else even.all(axis=0).any()) and not alike
+    return bool((even < np.multiply(flush, (1.0, UNSEEN) if upon else 1.0)).all()) and not alike
 
 
 def alone_on(state: State, i: int) -> tuple[int, ...]:

@@ -822,3 +822,13 @@ def test_a_sensor_image_stays_one_where_fewer_columns_do_not_show_what_noise_its
     _, seen = point_estimate(np.random.default_rng(0), image, CAMERA, Settings(tries=1))
     assert len(looks) == 2
     assert seen.correlation == 0.5
+
+
+def test_a_bowl_is_all_that_goes_on_beyond_the_ball_that_is_as_round():
+    """Of a bowl a ball that sinks into the floor explained most, and without its rim it was no object (P .26)."""
+    seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, (0.09, 0.09, 0.06), bowl(0.045))]), CAMERA)
+    x, y, _ = np.median(seen.points[seen.mask], axis=0)
+    state = State().add(make_row(SPHERE, np.eye(3), [x, y, 0.03], np.full(3, 0.09)), UPRIGHT, False)
+    assert falling(state) == (0,)
+    left, (mask,) = joined_parts(seen, state, (0,))
+    assert len(left) == 0 and (mask & seen.mask).sum() > 0.97 * seen.mask.sum()

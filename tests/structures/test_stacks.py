@@ -122,6 +122,7 @@ def test_a_bottle_s_neck_and_an_l_s_arms_are_parts_of_one():
     "size, middle, parent, expected",
     [((0.03, 0.045, 0.07), 0.055, FLOOR, True),  # beside the foot's end, as wide
      ((0.03, 0.045, 0.05), 0.025, 0, True),  # on its end
+     ((0.03, 0.045, 0.05), 0.031, 0, True),  # as far as its end is seen
      ((0.03, 0.054, 0.07), 0.055, FLOOR, False),  # wider
      ((0.03, 0.045, 0.07), 0.07, FLOOR, False),  # 15 mm beside it
      ((0.03, 0.045, 0.05), 0.012, 0, False),  # not at its end
