@@ -190,7 +190,7 @@ def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None
     """Return (State without some solids, [mask]) with what they show as one free-form thing, if it is seen.
 
     What is seen within a solid is the inside of a hollow one, as of a mug, and what goes on from it before it is its
-    handle; so is what little goes on beyond it, as a bowl's rim does beyond the ball that is as round.
+    handle; so is what little goes on beyond a ball, as the rim of a bowl does that is as round.
 
     parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already.
     """
@@ -201,7 +201,8 @@ def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None
     whole = own & ((misfit < LIMIT) | inside)
     body, _ = label_bodies(seen.points, whole | (own & seen.mask), seen.surface.jump)
     whole = np.isin(body, body[whole])
-    beyond = seen.mask & ~whole & (misfit > BAD) & (image.depth < depth)
+    balls = any(int(state.rows[k][0]) == SPHERE for k in parts)
+    beyond = seen.mask & ~whole & (misfit > BAD) & (image.depth < depth) & balls
     body, _ = label_bodies(seen.points, whole | beyond, seen.surface.jump)
     beyond &= np.isin(body, body[whole])
     body, count = label_bodies(seen.points, beyond, seen.surface.jump)
