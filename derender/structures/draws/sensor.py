@@ -184,7 +184,7 @@ def first_sensor(
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor.
     wall : how far away what lies behind everything is seen, see `Observation`; None: it is not."""
     into = np.eye(4) if into is None else into
-    held = {**behind_all(wall), **({} if shares_noise(prior) else held_by(prior))}
+    held = behind_all(wall) | ({} if shares_noise(prior) else held_by(prior))
     clean = model_depth(chart, values, camera, into, held["background"])
     observed = cut_off(observed, clean)
     noise = Noise(observed, clean, {"flying": 0.0, **held})  # before edges are where they are all pixels there fly
@@ -372,12 +372,12 @@ class Noise:
 
 
 def noise_told_by(
-    observed: np.ndarray, clean: np.ndarray, prior: LikelihoodPrior | None, wall: float, every: int = 1
+    observed: np.ndarray, clean: np.ndarray, prior: LikelihoodPrior | None, wall: float, every: int = 1, **held: float
 ) -> Noise:
-    """Return the Noise of an image and a clean depth under a Sensor's prior: its numbers hold, and noise that it says
-    is gaussian is so where everything that the image shows is part of the scene. wall : behind the clean depth."""
+    """Return the Noise of an image and a clean depth under a Sensor's prior: its numbers hold as others `held`, and
+    noise that it says is gaussian is so where all the image shows is part of the scene. wall : behind the scene."""
     normal = prior is not None and prior.type == "gaussian" and not (observed < 0.0).any()
-    return Noise(observed, clean, {**held_by(prior), "background": wall}, every=every, outliers=not normal)
+    return Noise(observed, clean, held | held_by(prior) | {"background": wall}, every=every, outliers=not normal)
 
 
 def mixed_density(surface: np.ndarray, numbers: Mapping[str, float]) -> np.ndarray:
@@ -411,8 +411,7 @@ def whole_sensor(
     wall, every = sensor.values["background"], max(1, camera.width // TOLD_BY)
     scene = model_depth(chart, values, camera, sensor.into, wall)
     observed = cut_off(whole, scene)
-    noise = noise_told_by(observed, scene, sensor.prior, wall, every)
-    noise = replace(noise, held={"flying": sensor.values.get("flying", 0.0), **noise.held})
+    noise = noise_told_by(observed, scene, sensor.prior, wall, every, flying=sensor.values.get("flying", 0.0))
     _, name, told = noise.with_blur(blurs, RATES, LAST_STEPS)
     return sensor._replace(camera=camera, observed=observed, beside=None).changed(name, **told)
 
