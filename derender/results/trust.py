@@ -117,7 +117,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
     none = sum(1.0 - posterior.object_probability(name) for name in solids)
     # What the image's border cuts is nowhere seen as it is: its like may be missed, and all the rest be right.
     more = sum(probability for probability, *_ in posterior.meta.get("clutter", ()))
-    more += sum(map(posterior.object_probability, posterior.best_part.extras.get("absent", ())))
+    more += sum(posterior.object_probability(name) for name in posterior.best_part.extras.get("absent", ()))
     floors = [other for other in posterior.meta.get("other_floors", ()) if other["probability"] > LIKELY_FLOOR]
     all_wrong = max(len(solids), 1) * sum(other["probability"] for other in floors)
     serious = none + more + all_wrong > max(MOST_WRONG, FEW * len(solids))
