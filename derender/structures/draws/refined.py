@@ -238,15 +238,16 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     """Return the Refined at its mode under the sensor model that its present state suggests, or as it is where that is
     higher.
 
-    Solids that were fitted under a wrong blur suggest just that, and outliers beside them: where there are more than
-    the fewest, one that is FARTHER to either side is tried with the solids following it.
+    Solids that were fitted under a wrong blur suggest just that, and outliers or flying pixels beside them: where there
+    are more than the fewest, one that is FARTHER to either side is tried with the solids following it.
     """
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
     found = climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
-    ways = [-FARTHER, FARTHER] if changes_blur(sensor) and sensor.values.get("outlier", 1.0) > RATES[0] else []
+    suspect = sensor.values.get("outlier", 1.0) > RATES[0] or sensor.values.get("flying", 0.0) > 0.0
+    ways = [-FARTHER, FARTHER] if changes_blur(sensor) and suspect else []
     while ways:
         way = ways.pop()
-        sensor = found.sensor.blurred(way)
+        sensor = found.sensor.changed(flying=0.0).blurred(way)
         trial = refitted(climb(rng, found.state, found.chart, found.values.copy(), sensor, ANNEALING, None, ()))
         if height(trial) > height(found) + HIGHER:
             found, ways = trial, [way]

@@ -106,8 +106,8 @@ class Sensor(NamedTuple):
 
     def noise(self, clean: np.ndarray, believed: LikelihoodPrior | None = None) -> "Noise":
         """Return the Noise that the first view beside a clean depth (H, W) tells under its likelihood's type."""
-        kept = {"flying": self.values.get("flying", 0.0), "background": self.values.get("background", BACKGROUND)}
-        held = held_by(self.prior) | kept
+        held = {"flying": self.values.get("flying", 0.0), **held_by(self.prior)}
+        held["background"] = self.values.get("background", BACKGROUND)
         return Noise(self.observed, clean, held, believed, outliers=self.likelihood.name != "gaussian")
 
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
