@@ -158,6 +158,9 @@ MUTATIONS = [
         ("bridges: prior odds", "structures/bridges.py", "odds = prior_odds * loose.within", "odds = loose.within",
          ("tests/structures/test_bridges.py",)),
         # what is seen
+        ("robust: what flies counts more", "render/likelihoods/pixelwise.py", "0.25 * on_one", "0.35 * on_one", SCORE),
+        ("engine: nothing flies on the far side", "render/raycast/region.py",
+         "_on_surface(told, farthest, constants)", "_on_surface(told, nearest, constants)", SCORE),
         ("gaussian: no normaliser", "render/likelihoods/pixelwise.py", "- math.log(spread) -", "-", SCORE),
         ("gaussian: half the residuals' weight", "render/likelihoods/pixelwise.py",
          "density = -0.5 * (residual / spread) ** 2", "density = -0.25 * (residual / spread) ** 2", SCORE),
