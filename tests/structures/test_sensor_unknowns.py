@@ -10,11 +10,20 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.document import LikelihoodPrior
+from derender.render.likelihoods import likelihoods
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures.draws.chart import SIZE
 from derender.structures.draws.metropolis import engine_of, load
 from derender.structures.draws.refined import Refined, at_mode, over_blur
-from derender.structures.draws.sensor import blurs_about, final_sensor, first_sensor, model_depth, same_sensor_refitted
+from derender.structures.draws.sensor import (
+    MOST_FLYING,
+    Noise,
+    blurs_about,
+    final_sensor,
+    first_sensor,
+    model_depth,
+    same_sensor_refitted,
+)
 from derender.structures.weighing import with_own_sensor
 
 RULES, PRIOR = Rules(0.0015), bare_image().sensor
@@ -107,3 +116,12 @@ def test_how_many_pixels_fly_at_edges_is_told_by_the_final_fit_alone(share):
     assert first.values["flying"] == 0.0  # before edges are where they are all pixels there fly
     assert final.values["flying"] == pytest.approx(share, abs=0.08)
     assert same_sensor_refitted(final, chart, values).values["flying"] == final.values["flying"]
+
+
+def test_however_many_fly_some_may_not():
+    """Where each pixel at an edge lies between what is beside it, as after a filter, the share stays what it may be."""
+    clean = np.where(np.arange(40) < 20, 0.5, 0.8) * np.ones((30, 1))
+    observed = np.where(np.abs(np.arange(40) - 19.5) < 1.0, 0.65, clean)
+    observed += np.random.default_rng(4).normal(0.0, 1e-3, clean.shape)
+    _, name, numbers = Noise(observed, clean, {}).fitted(0.0)
+    assert likelihoods[name].complete(numbers)["flying"] == MOST_FLYING

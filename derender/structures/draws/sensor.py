@@ -39,7 +39,7 @@ LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: of pixels beyond it, only that nothing stands before that is believed
 EDGE = 0.025  # of the median depth: neighbours whose depths bend by more lie at an edge, where pixels may fly
-FLYING_ROUNDS = 8  # of Dempster, Laird and Rubin's EM
+MOST_FLYING, FLYING_ROUNDS = 0.99, 8  # of the pixels at edges; of Dempster, Laird and Rubin's EM
 FLYING_GAIN = 10.0  # nats by which some have to explain an image better than none, or none do
 NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and hardly anything that it does not explain
 
@@ -298,7 +298,7 @@ class Noise:
             return self.held.get("flying", 0.0)
         share = 0.5
         for _ in range(FLYING_ROUNDS):
-            share = float(np.mean(share * flies / (share * flies + (1.0 - share) * stays)))
+            share = min(float(np.mean(share * flies / (share * flies + (1.0 - share) * stays))), MOST_FLYING)
         return share if np.log(share * flies / stays + 1.0 - share).sum() > FLYING_GAIN else 0.0
 
     def fitted(self, blurred: float, rates: tuple[float, ...] = RATES[:1]) -> tuple[float, str, dict[str, float]]:
@@ -491,7 +491,7 @@ def image_likelihood(
     clean = np.minimum(clean, held["background"])
     every = max(1, camera.width // LOOKED_AT)
     if shares_noise(prior):
-        found = Noise(observed, clean, behind_all(wall)).fitted(0.0, (FIRST_OUTLIERS,))[2]
+        found = Noise(observed, clean, {"flying": 0.0, **behind_all(wall)}).fitted(0.0, (FIRST_OUTLIERS,))[2]
         sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
         found = under_shared_noise(sensor, clean, 0)
         return found.likelihood.name, found.values
