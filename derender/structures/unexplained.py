@@ -21,7 +21,7 @@ from derender.detection.solids.interpenetration import highest, penetration
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
-from derender.render.likelihoods.pixelwise import noise_at
+from derender.render.likelihoods.pixelwise import near_edges, noise_at
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.alternatives import PROMISING, QUICK, likeliest_of_each
@@ -63,8 +63,12 @@ def nearer_than_explained(clean: np.ndarray, observed: np.ndarray, numbers: Mapp
 
 def spots_left(clean: np.ndarray, observed: np.ndarray, numbers: Mapping[str, float]) -> list[list[float]]:
     """Return the places of what a scene leaves that is surely no noise, unless neighbouring pixels share it; see
-    `spots`."""
-    found = spots(nearer_than_explained(clean, observed, numbers))
+    `spots`. What may fly at an edge, where pixels do, is explained."""
+    nearer = nearer_than_explained(clean, observed, numbers)
+    if numbers.get("flying", 0.0) > 0.0:
+        edge, nearest, farthest = near_edges(clean, numbers["edge_step"])
+        nearer[edge & (observed >= nearest) & (observed <= farthest)] = 0.0
+    found = spots(nearer)
     return [place_of(spot.shown) for spot in found if spot.strength > SURELY]
 
 

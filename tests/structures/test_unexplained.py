@@ -19,7 +19,7 @@ from derender.structures.draws.metropolis import SAME, engine_of, likelihood_wit
 from derender.structures.draws.refined import at_mode, members_of, pixels_of
 from derender.structures.graph_posterior import shown_and_left
 from derender.structures.infer import infer_structure
-from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
+from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots, spots_left
 from worlds.made_scenes import drawn_scene
 
 RULES = Rules(0.0015)
@@ -41,6 +41,16 @@ def test_noise_alone_has_no_spots_and_a_few_nearer_pixels_have():
     mixed[20:22, 20:22] *= 4.0  # nearer and farther: what moved in front of something
     mixed[20, 20], mixed[21, 21] = 4.0, -4.0
     assert len(spots(mixed)) == 1
+
+
+def test_what_flies_at_edges_is_explained_where_pixels_fly():
+    clean = np.where(np.arange(40) < 20, 0.5, 0.8) * np.ones((30, 1))
+    observed = np.where(np.abs(np.arange(40) - 19.5) < 1.0, 0.65, clean)
+    numbers = {"sigma": 0.002, "blur": 0.0, "edge_step": 0.02}
+    assert spots_left(clean, observed, numbers)
+    assert not spots_left(clean, observed, {**numbers, "flying": 0.5})
+    observed[10:13, 30:33] -= 0.1  # elsewhere nothing flies
+    assert len(spots_left(clean, observed, {**numbers, "flying": 0.5})) == 1
 
 
 def test_a_solid_that_shows_in_a_few_pixels_is_proposed_and_wins():
