@@ -20,9 +20,7 @@ SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a f
 # Frames a second, assumed where nobody says, and the standard deviation of its logarithm: nine depth cameras in ten run
 # at 11 to 80.
 FPS, FPS_SPREAD = 30.0, 0.6
-LEVEL_SPREAD = (
-    0.02  # radians: where nobody gives gravity the floor is taken for level, and floors and tables nearly are
-)
+LEVEL_SPREAD = 0.02  # radians: where nobody gives gravity the floor is taken for level, and most nearly are
 MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
 FAR_APART, ONE_G = 5.0, 0.1  # seconds between frames, and m/s^2 off 1, that look like another unit

@@ -292,11 +292,11 @@ class Noise:
         edge, nearest, farthest = self.edges
         return flying_density(self.known[self.seen][edge], nearest, farthest, numbers)
 
-    def share_flying(self, flies: np.ndarray, stays: np.ndarray) -> float:
-        """Return the share of pixels at edges that fly, given densities (e,) if they do and if not; few are none."""
-        if "flying" in self.held or not len(flies):
+    def share_flying(self, stays: np.ndarray, numbers: Mapping[str, float]) -> float:
+        """Return the share of pixels at edges that fly, given densities (n,) of all if none does; few are none."""
+        if "flying" in self.held or not self.edges[0].any():
             return self.held.get("flying", 0.0)
-        share = 0.5
+        flies, stays, share = self.flying(numbers), stays[self.edges[0]], 0.5
         for _ in range(FLYING_ROUNDS):
             share = min(float(np.mean(share * flies / (share * flies + (1.0 - share) * stays))), MOST_FLYING)
         return share if np.log(share * flies / stays + 1.0 - share).sum() > FLYING_GAIN else 0.0
@@ -323,7 +323,7 @@ class Noise:
         for outlier in (self.held["outlier"],) if "outlier" in self.held else rates:
             told = {**numbers, "outlier": outlier}
             stays = mixed_density(surface, told)
-            told["flying"] = self.share_flying(self.flying(told), stays[self.edges[0]])
+            told["flying"] = self.share_flying(stays, told)
             found.append((self.density(stays, told) + log_prior_of(self.believed, told), "robust", told))
         return max(found, key=itemgetter(0))
 
