@@ -26,6 +26,7 @@ ROUND = 0.45
 SPREAD = 0.04  # least over greatest eigenvalue of the equations: of fewer directions the axis is not told
 DIRECTIONS = 8  # in which what is seen is measured
 ROUNDS = 10
+SLOPING = 0.25  # level part of a normal: what slopes less is noise of a level surface
 BELT = 0.25  # of the height that is seen: the lowest two belts of it tell how the foot goes on
 WIDEST = 0.9  # quantile of the distances from the axis that is taken for a belt's radius: the inside of a cup is nearer
 
@@ -76,3 +77,15 @@ def vertical_axis(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, f
     if np.mean(miss < MISSED * radius) * min(1.0, 0.5 * seen / radius) ** 2 < ROUND:
         return None
     return centre, radius
+
+
+def sloping_foot(points: np.ndarray, normal: np.ndarray, bottom: float, reach: float) -> np.ndarray:
+    """Return (L, 2) where the foot of a surface that slopes down goes on to a height `bottom`: noise hides where it
+    meets what it stands on.
+
+    points, normal : (K, 3), z up; a normal that is not known is zero. reach : metres over it within which a foot lies.
+    """
+    height, flat = points[:, 2] - bottom, np.hypot(normal[:, 0], normal[:, 1])
+    foot = (height > 0.0) & (height < reach) & (normal[:, 2] > 0.0) & (flat > SLOPING)
+    onward = normal[foot, :2] * (height * normal[:, 2])[foot, None] / flat[foot, None] ** 2
+    return points[foot, :2] + onward

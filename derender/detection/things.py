@@ -16,7 +16,7 @@ from derender.camera.windows import greatest, least, total
 from derender.compilation.cache import njit
 from derender.detection.background import cut_short, frame_seen, is_background, quarter_turns
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
-from derender.detection.outline import ends_of, foot_radius, vertical_axis
+from derender.detection.outline import ends_of, foot_radius, sloping_foot, vertical_axis
 from derender.detection.patches import components, separation, turned
 from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings, total_energy
@@ -44,7 +44,6 @@ LEAST_HEIGHT = 0.012  # metres over its support
 ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying pixels
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
-SLOPING = 0.25  # level part of a normal: what slopes less is noise of a level surface
 AROUND = 36  # points of a circle
 BESIDE = 1.15  # of the radius of what is round: what lies farther from its axis is a handle, along which its box lies
 # Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
@@ -74,9 +73,10 @@ class Thing(NamedTuple):
     mask: np.ndarray  # (H, W) bool, the pixels that show it
     row: np.ndarray  # (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on
     parent: int  # FLOOR, or the index of the solid that it stands on
-    existence: tuple[float, float]  # (probability that it is an object and no clutter, standard error of that)
+    existence: tuple[float, float]  # (probability that it is one object, neither clutter nor several; its error)
     away: np.ndarray
     guessed: np.ndarray = np.zeros(3)
+    clutter: float = 0.0  # probability that it is no object at all
 
 
 class Cost(NamedTuple):
@@ -156,7 +156,8 @@ def likely_things(
 ) -> tuple[Observation, list[Thing]]:
     """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen.
 
-    Where somebody says how many objects there are at most the largest are told, as seen, and the rest is clutter.
+    What may be several, how is not known, is told as one unless it is likelier clutter. Where somebody says how many
+    objects there are at most the largest are told, as seen, and the rest is clutter.
     """
     behind, found, clutter = seen.behind.copy(), [], []
     taken = np.any([held_out(seen.image, state, -1)[1] >= 0, *masks], axis=0)
@@ -166,13 +167,15 @@ def likely_things(
             mask, taken = mask | low, taken | low
             seen.image.floor[low] = seen.image.depth[low] + 0.5 * AS_SEEN
         existence = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
-        if existence[0] < LEAST_EXISTENCE:
+        one = existence
+        if existence[0] >= LEAST_EXISTENCE:
+            cost = cost_of(seen._replace(mask=mask), settings.believed.loose.things)
+            one = settings.believed.loose.existence.joined(existence, nats_of_joins(seen, mask, cost, settings))
+        if one[0] < 1.0 - existence[0]:
             behind |= mask
             clutter.append((mask, existence[0]))
             continue
-        cost = cost_of(seen._replace(mask=mask), settings.believed.loose.things)
-        one = settings.believed.loose.existence.joined(existence, nats_of_joins(seen, mask, cost, settings))
-        found.append(made_thing(seen, state, mask, one))
+        found.append(made_thing(seen, state, mask, one)._replace(clutter=1.0 - existence[0]))
     room = max(settings.max_objects - len(state), 0) if settings.counts_all else len(found)
     for thing in sorted(found, key=lambda each: -int(each.mask.sum()))[room:]:
         behind |= thing.mask
@@ -446,18 +449,6 @@ def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int
     return clear, reach
 
 
-def sloping_foot(points: np.ndarray, normal: np.ndarray, bottom: float) -> np.ndarray:
-    """Return (L, 2) where the foot of a surface that slopes down goes on to a height `bottom`: noise hides where it
-    meets what it stands on.
-
-    points, normal : (K, 3), z up; a normal that is not known is zero.
-    """
-    height, flat = points[:, 2] - bottom, np.hypot(normal[:, 0], normal[:, 1])
-    foot = (height > 0.0) & (height < NEAR_TOP) & (normal[:, 2] > 0.0) & (flat > SLOPING)
-    onward = normal[foot, :2] * (height * normal[:, 2])[foot, None] / flat[foot, None] ** 2
-    return points[foot, :2] + onward
-
-
 def made_thing(seen: Any, state: State, mask: np.ndarray, existence: Any) -> Thing:
     """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
 
@@ -470,7 +461,7 @@ def made_thing(seen: Any, state: State, mask: np.ndarray, existence: Any) -> Thi
     rim = reach * float(np.median(seen.footprint[mask]))  # where an edge ends some pixel shows it, at its middle
     normal = seen.surface.normals(mask)[clear]
     axis = vertical_axis(points, normal)
-    outline, yaw = np.vstack([points[:, :2], sloping_foot(points, normal, bottom)]), None
+    outline, yaw = np.vstack([points[:, :2], sloping_foot(points, normal, bottom, NEAR_TOP)]), None
     if axis is not None:
         around = 2.0 * np.pi * np.arange(AROUND) / AROUND
         away = np.linalg.norm(points[:, :2] - axis[0], axis=1)

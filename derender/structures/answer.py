@@ -58,7 +58,8 @@ def answered(case: Case, looks: "list[Look]", parts: list[StructurePosterior], o
     elsewhere = {name: share for name, share in told.borne_out(case.depth).items() if share < LEAST_FITTING}
     if seen.correlation > CORRELATED and not case.library:
         meta["existence"].update(chances(meta["existence"], graph, told, case))
-    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], elsewhere)))
+    nothing = {thing_name(k): thing.clutter for k, thing in enumerate(things)}
+    posterior = replace(posterior, parts=tuple(with_absences(parts, meta["existence"], elsewhere, nothing)))
     for name, share in elsewhere.items():
         known, error = meta["existence"].get(name, (1.0, 0.0))
         meta["existence"][name] = (share * known, error)
@@ -124,7 +125,10 @@ def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera
 
 
 def with_absences(
-    parts: list[StructurePosterior], existence: dict[str, tuple[float, float]], elsewhere: dict[str, float]
+    parts: list[StructurePosterior],
+    existence: dict[str, tuple[float, float]],
+    elsewhere: dict[str, float],
+    nothing: dict[str, float],
 ) -> list[StructurePosterior]:
     """Return the structures with all of their objects, and those in which some of the likeliest one's are but clutter,
     so that none is likelier than each of its objects; not of others: without the object in which they differ they are
@@ -134,6 +138,8 @@ def with_absences(
     elsewhere : by name, which share of where an object should be seen it explains. A free-form thing is an object so
         much less probably; of a solid it is the probability, below RATHER, that it is not another one that is seen
         elsewhere.
+    nothing : by name, the probability that there is no object; where not given, that it is not this one. What may be
+        several is told nevertheless: nothing is told of how they part it, but leaving it out would be no likelier.
     """
     from derender.structures.free_forms import without_object
 
@@ -143,7 +149,8 @@ def with_absences(
         doubted = {name: of for name, of in existence.items() if name in part.graph.names and name not in held}
         free = {vertex.name: vertex.shape == "thing" for vertex in part.graph.vertices}
         chance = [known * (elsewhere.get(name, 1.0) if free[name] else 1.0) for name, (known, _) in doubted.items()]
-        shares = [np.array([known, 1.0 - known]) for known in chance]
+        gone = [min(nothing.get(name, 1.0), 1.0 - known) for name, known in zip(doubted, chance, strict=True)]
+        shares = [np.array([known, absent]) for known, absent in zip(chance, gone, strict=True)]
         solids = [share for name, share in elsewhere.items() if free.get(name) is False and share < RATHER]
         as_told = float(np.prod([max(share, SELDOM) for share in solids]))
         all_there = (0,) * len(doubted)

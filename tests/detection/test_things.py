@@ -211,6 +211,11 @@ def test_a_thing_of_pieces_that_might_be_two_is_less_sure_to_be_one(monkeypatch)
     monkeypatch.setattr("derender.detection.things.nats_of_joins", lambda *_: existence.one)
     (pieces,) = likely_things(seen, State(), [seen.mask], settings)[1]
     assert pieces.existence[0] == pytest.approx(0.5 * whole.existence[0])
+    assert pieces.clutter == whole.clutter == 1.0 - whole.existence[0]  # several objects are something, too
+    monkeypatch.setattr("derender.detection.things.nats_of_joins", lambda *_: 0.0)
+    monkeypatch.setattr("derender.detection.things.existence_of", lambda *_: (0.6, 0.1))
+    left, things = likely_things(seen, State(), [seen.mask], settings)  # one object at .07, none at .4
+    assert not things and [p for _, p in left.clutter] == [0.6] and left.behind[seen.mask].all()
     told = [existence.joined((0.9, 0.0), gain)[0] for gain in (0.0, 10.0, 20.0, 50.0, np.inf)]
     assert (np.diff(told) > 0.0).all() and told[-1] == 0.9
 
