@@ -12,6 +12,7 @@ import numpy as np
 
 from derender.detection.background import sides_show
 from derender.detection.freestanding import NEARER, outline_shares
+from derender.detection.openings import walls
 from derender.detection.outline import ends_of, vertical_axis
 from derender.detection.patches import SeenSurface
 from derender.detection.search.bodies import TIGHT, label_bodies
@@ -99,6 +100,17 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
         masks = [each for k, each in enumerate(masks, start=len(state)) if k not in pair]
         state, found = joined(seen, state, parts, np.any(pieces, axis=0) if pieces else None)
         masks += found
+    return state, masks
+
+
+def open_boxes(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[State, list[np.ndarray]]:
+    """Return (State, [mask]) in which walls around an opening are one free-form thing, see `openings.py`."""
+    while (found := walls(seen, state, masks)) is not None:
+        solids, things = found
+        pieces = [masks[k] for k in things]
+        masks = [mask for k, mask in enumerate(masks) if k not in things]
+        state, whole = joined(seen, state, solids, np.any(pieces, axis=0) if pieces else None)
+        masks += whole
     return state, masks
 
 

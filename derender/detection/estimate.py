@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.compounds import compounds, with_borne
+from derender.detection.compounds import compounds, open_boxes, with_borne
 from derender.detection.floor import NoFloor
 from derender.detection.freestanding import freestanding, returns_about
 from derender.detection.leftovers import leftovers
@@ -149,6 +149,8 @@ def on_one_floor(
         if seen.correlation > CORRELATED:
             seen, state, masks = without_background(seen, state, masks, settings)
             state.parents = final_parents(state)
+        state, masks = open_boxes(seen, state, masks)
+        if seen.correlation > CORRELATED:
             state, masks = compounds(seen, state, masks)
             seen, masks = with_borne(seen, masks)
     state.parents = final_parents(state)
