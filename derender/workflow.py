@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.atomic import ROOM, make_folder
-from derender.camera.camera_file import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.depth_file import DepthImage, Reading
 from derender.camera.intrinsics import Camera
+from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.repeats import Enlargement, as_made, enlargement_of
 from derender.compilation.threads import import_in_background, interruptible
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document

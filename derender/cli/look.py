@@ -45,7 +45,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     """
     import numpy as np
 
-    from derender.camera.camera_file import write_poses
+    from derender.camera.poses import write_poses
     from derender.cli.reading import read_scene
     from derender.physics.next_view import KNOWN, next_views
     from derender.report.pictures import write_view

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from derender.camera.camera_file import poses_of_camera_file, read_poses, turned_pose, write_poses
 from derender.camera.depth_file import DepthImage, turned
 from derender.camera.intrinsics import Camera
+from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose, write_poses
 from derender.errors import DerenderError
 from derender.scene.pose import inverse, random_rotation, translation
 

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 from on_floor import face, on_floor
 
-from derender.camera.camera_file import read_poses
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
+from derender.camera.poses import read_poses
 from derender.cli import group
 from derender.document import LikelihoodPrior
 from derender.physics.next_view import ENOUGH, candidates, information, next_views, spreads_after
