@@ -18,7 +18,7 @@ def parse_json(text: str | bytes, where: object = None) -> Any:
     """
     try:
         with at_fault(where):
-            tree = json.loads(text, object_pairs_hook=_without_duplicates)
+            tree = json.loads(text, object_pairs_hook=without_duplicates)
         if _depth(tree) > MOST_DEPTH:
             raise RecursionError
     except RecursionError:
@@ -33,7 +33,8 @@ def _depth(tree: Any) -> int:
     return 0 if inside is None else 1 + max(map(_depth, inside), default=0)
 
 
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return pairs of names and values as a mapping; DerenderError where a name stands twice."""
     tree = dict(pairs)
     if len(tree) < len(pairs):
         ((twice, _),) = Counter(key for key, _ in pairs).most_common(1)

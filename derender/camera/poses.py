@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from derender.atomic import write_text
-from derender.camera.camera_file import LARGEST_FILE, load_tree
+from derender.camera.camera_text import LARGEST_FILE, load_tree
 from derender.camera.image_files import read_bytes
 from derender.camera.intrinsics import finite_number
 from derender.errors import DerenderError, at_fault

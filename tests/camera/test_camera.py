@@ -167,8 +167,7 @@ def test_what_is_written_is_read_back_exactly(tmp_path):
         (ROS1.replace("binning_x: 0", "binning_x: 2"), "binning"),
         (ROS1.replace("x_offset: 0", "x_offset: 8"), "region of interest"),
         (OPEN3D.replace("0.0, 526.0, 0.0", "0.0, 526.0"), "8 numbers"),
-        # Row-major where Open3D is column-major.
-        ('{"width": 4, "height": 4, "intrinsic_matrix": [5, 0, 2, 0, 5, 2, 0, 0, 1]}', "column-major"),
+        ('{"width": 4, "height": 4, "intrinsic_matrix": [5, 0, 2, 0, 5, 2, 0, 1, 1]}', "column-major"),
         ('{"width": 4, "height": 4, "K": [5, 0, 2, 0, 5, 2, 0, 0, 1e-320]}', "fx is inf"),
         ("camera: " * 50, "neither JSON nor YAML"),
     ],
@@ -270,5 +269,5 @@ def test_the_fallback_sees_sixty_degrees():
 def test_a_tree_that_holds_itself_ends():
     tree: dict = {}
     tree["camera"] = tree
-    with pytest.raises(DerenderError, match="not a camera"):
+    with pytest.raises(DerenderError, match="no camera in the keys camera"):
         camera_from_tree(tree)
