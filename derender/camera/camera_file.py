@@ -90,24 +90,12 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     tree = load_tree(path)
     try:
         if isinstance(tree, list) and len(tree) in (3, 4, 9, 12, 16):
-            matrix = _intrinsic_part(numbers_in(tree, "the matrix")).tolist()
             of_video = Path(path).name == "camera_matrix.csv"  # StrayScanner's belongs to its video
-            tree = {"K": matrix, "w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if of_video else {"cam_K": matrix}
+            tree = {"K": tree, "w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if of_video else {"cam_K": tree}
         return camera_from_tree(tree, shape, frame)
     except DerenderError as error:
         where = path if error.where in (None, "camera") else f"{path}: {error.where}"
         raise DerenderError(error.what, where, error.remedy) from None
-
-
-def _intrinsic_part(numbers: np.ndarray) -> np.ndarray:
-    """Return (3, 3) of the numbers of such a matrix, or of one (3, 4) or (4, 4) that adds nothing to it: ScanNet's."""
-    wide = {9: 3, 12: 4, 16: 4}.get(len(numbers))
-    whole = numbers.reshape(-1, wide) if wide else np.ones((4, 4))
-    if not np.array_equal(whole[:, 3:], np.eye(4)[: len(whole), 3:wide]) or whole[3:, :3].any():
-        raise DerenderError(
-            "the matrix is no 3 x 3 matrix of intrinsics", "camera", "its rows are fx 0 cx, 0 fy cy, 0 0 1"
-        )
-    return whole[:3, :3]
 
 
 def camera_beside(path: str | Path) -> Path | None:
@@ -239,7 +227,7 @@ def _arguments(found: Found, shape: tuple[int, int] | None) -> dict[str, Any]:
         if len(numbers) == 4:  # Kalibr's
             arguments = dict(zip(Format().numbers, numbers, strict=True))
         else:
-            matrix = numbers_in(tree[key], key, 9).reshape(3, 3)
+            matrix = _intrinsic_part(numbers, key)
             by_columns = matrix[0, 2] == matrix[1, 2] == 0  # as Open3D and some of ARKit's writers have it
             arguments = from_matrix(matrix.T if by_columns else matrix, key)
     else:
@@ -258,6 +246,18 @@ def _arguments(found: Found, shape: tuple[int, int] | None) -> dict[str, Any]:
     if form.colour and shape is not None and len(size) == 2 and (size["height"], size["width"]) != shape:
         return _at_image_size(arguments, (size["width"], size["height"]), shape)
     return arguments | ({} if shape is None else {"height": shape[0], "width": shape[1]}) | size
+
+
+def _intrinsic_part(numbers: np.ndarray, name: str) -> np.ndarray:
+    """Return (3, 3) of the numbers of such a matrix, or of one (3, 4) or (4, 4) that adds nothing to it: ScanNet's."""
+    wide = {12: 4, 16: 4}.get(len(numbers), 3)
+    if len(numbers) not in (9, 12, 16):
+        raise DerenderError(f"{name} has {len(numbers)} numbers", "camera", "it needs 9")
+    whole = numbers.reshape(-1, wide)
+    if not np.array_equal(whole[:, 3:], np.eye(4)[: len(whole), 3:wide]) or whole[3:, :3].any():
+        what = f"{name} is no 3 x 3 matrix of intrinsics"
+        raise DerenderError(what, "camera", "its rows are fx 0 cx, 0 fy cy, 0 0 1")
+    return whole[:3, :3]
 
 
 def _of_angle(tree: dict, size: Mapping[str, float]) -> dict[str, Any]:

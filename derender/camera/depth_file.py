@@ -6,6 +6,7 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 """
 
 import base64
+import contextlib
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -87,7 +88,7 @@ class DepthImage(NamedTuple):
 @only_its_keywords
 def read_depth(
     path: str | Path | np.ndarray | Sequence[Sequence[float]],
-    camera: Camera | Mapping[str, Any] | np.ndarray | str | Path | None = None,
+    camera: Camera | Mapping[str, Any] | np.ndarray | Sequence[Sequence[float]] | str | Path | None = None,
     depth_scale: float | None = None,
     topic: str | None = None,
     may_be_empty: bool = False,
@@ -161,8 +162,10 @@ def turned(seen: DepthImage, degrees: int) -> DepthImage:
     return seen._replace(depth=np.ascontiguousarray(depth), camera=camera)
 
 
-def _array(given: object) -> np.ndarray:
-    """Return what a program gives for an image as an array; DerenderError where it is none."""
+def _array(
+    given: object, what: str = "a depth image", remedy: str = "an array (height, width) of metres"
+) -> np.ndarray:
+    """Return what a program gives as an array; DerenderError where it is none. what, remedy : what it should be."""
     if isinstance(given, np.ma.MaskedArray):  # what is masked has no return
         return given.filled(0 if given.dtype.kind in "iu" else np.nan)
     if isinstance(given, list | tuple) and any(isinstance(each, str | Path | DepthImage) for each in given):
@@ -170,10 +173,12 @@ def _array(given: object) -> np.ndarray:
     try:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths
-        raise DerenderError("the rows have different lengths", "the array", "a depth image is height x width") from None
+        raise DerenderError("the rows have different lengths", "the array", f"give {remedy}") from None
     if array.dtype == object:
-        what = f"a {type(given).__name__} is no depth image"
-        raise DerenderError(what, remedy="give a path, a DepthImage or an array (height, width) of metres")
+        with contextlib.suppress(ValueError):
+            array = np.array(array.tolist())  # numbers that were kept as objects, as pandas keeps UInt16
+    if array.dtype == object:
+        raise DerenderError(f"a {type(given).__name__} is no {what.removeprefix('a ')}", remedy=f"give {remedy}")
     return array.astype(np.float64) if isinstance(given, list | tuple) and array.dtype.kind in "iu" else array
 
 
@@ -249,12 +254,13 @@ def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]
     """Return the camera and whether it is a guess."""
     if isinstance(given, Camera):
         return given, False
-    if isinstance(given, np.ndarray | list):
-        return camera_from_tree({"cam_K": np.asarray(given).tolist()}, shape), False
     if isinstance(given, Mapping):
         return camera_from_tree(dict(given), shape), False
-    if given is not None:
+    if isinstance(given, str | Path):
         return read_camera(given, shape, frame=Path(path).stem), False
+    if given is not None:
+        with at_fault("camera"):
+            return camera_from_tree({"cam_K": _array(given, "a camera", "a 3 x 3 matrix").tolist()}, shape), False
     if inside is not None:
         with at_fault(f"{path}: camera", always=True):
             return camera_from_tree(inside, shape), False
@@ -268,6 +274,8 @@ def _metres(
     array: np.ndarray, camera_scale: float, explicit: float | None, path: str | Path, may_be_empty: bool
 ) -> np.ndarray:
     """Return float64 metres with NaN for no return, or say what is impossible about the numbers."""
+    if explicit is not None and not 0 < explicit < np.inf:
+        raise DerenderError(f"it is {explicit:g}", "--depth-scale", "give millimetres for one unit, more than none")
     integer = array.dtype.kind in "iu"
     scale = explicit if explicit is not None else camera_scale if integer else None
     with np.errstate(over="ignore", invalid="ignore"):  # a damaged file holds NaNs of other kinds

@@ -103,7 +103,7 @@ def render(
 def infer(
     image: DepthImage | np.ndarray | Sequence[Sequence[float]] | str | Path,
     *,
-    camera: Camera | Mapping[str, float] | np.ndarray | str | Path | None = None,
+    camera: Camera | Mapping[str, float] | np.ndarray | Sequence[Sequence[float]] | str | Path | None = None,
     depth_scale: float | None = None,
     prior: str | Path | Document | None = None,
     known: str | Path | None = None,

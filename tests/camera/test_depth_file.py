@@ -348,3 +348,43 @@ def test_packbits_with_a_predictor_is_refused(tmp_path):
             continue
         with pytest.raises(DerenderError, match=words):
             read_depth(tmp_path / "depth.tiff")
+
+
+class Held:
+    """An array of another library, as torch's and xarray's are: numpy asks it for one."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def __array__(self, dtype=None, copy=None):
+        return self.array if dtype is None else self.array.astype(dtype)
+
+
+def test_intrinsics_and_images_may_be_arrays_of_any_library(tmp_path):
+    """A matrix that is no numpy array was taken for the path of a file, and one of 4 x 4 was none."""
+    depth = np.full((48, 64), 0.9)
+    matrix = np.array([[60.0, 0, 31.5], [0, 61.0, 23.5], [0, 0, 1]])
+    wide = np.eye(4)
+    wide[:3, :3] = matrix
+    for matrix_given in (
+        matrix,
+        matrix.tolist(),
+        matrix.astype(object),
+        np.asfortranarray(wide),
+        Held(matrix),
+        wide[:3],
+    ):
+        camera = read_depth(Held(depth), matrix_given).camera
+        assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.shape) == (60, 61, 31.5, 23.5, (48, 64))
+    counts = (1000 * depth).astype(np.uint16)
+    assert read_depth(counts.astype(object), matrix).depth[0, 0] == 0.9  # as pandas keeps what may have gaps
+    with pytest.raises(DerenderError, match="a Held is no camera; give a 3 x 3 matrix"):
+        read_depth(depth, Held(np.array([[None] * 3] * 3)))
+
+
+def test_a_unit_that_is_none_is_said_to_be_so():
+    """It was said of the image that no pixel had a depth, or that all were negative."""
+    counts = np.full((48, 64), 900, np.uint16)
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(DerenderError, match="depth-scale: it is .*; give millimetres for one unit"):
+            read_depth(counts, depth_scale=wrong)
