@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.atomic import locked, make_folder, write_bytes
-from derender.camera.depth_file import SUFFIXES, DepthImage, Reading
+from derender.camera.camera_file import camera_beside
+from derender.camera.depth_file import SUFFIXES, DepthImage, Reading, read_depth
 from derender.camera.image_files import png_bytes
 from derender.camera.ros_bag import FRAME, bag_frames, is_bag
 from derender.errors import DerenderError, is_unicode
@@ -188,7 +189,7 @@ class Watch:
 
 
 IMAGE = "image"  # of a failed frame's line in the ledger: where its image is
-THUMBNAIL = "thumbnail.png"
+OBSERVED, THUMBNAIL = "observation.npz", "thumbnail.png"
 THUMBNAIL_WIDTH = 160  # pixels of each half, about
 
 
@@ -284,6 +285,27 @@ def still_tells(folder: Path, row: Mapping[str, Any]) -> bool:
 def is_done(folder: Path) -> bool:
     """Return whether a frame's folder is whole: its thumbnail is written last."""
     return (folder / RESULT).is_file() and (folder / THUMBNAIL).is_file()
+
+
+def is_outdated(folder: Path, frame: Frame, order: Order) -> bool:
+    """Return whether the result in a frame's folder is of another image or camera than are there now.
+
+    They are read anew only where one of their files changed after the result was written.
+    """
+    recording = FRAME.fullmatch(frame.path)
+    files = [recording[1] if recording else frame.path, order.reading.camera or camera_beside(frame.path)]
+    try:
+        changes = [os.stat(file) for file in files if file is not None]
+        made = (folder / THUMBNAIL).stat().st_mtime
+        if all(max(each.st_mtime, each.st_ctime) < made for each in changes):
+            return False
+        seen, kept = request_of(frame, order, str(folder.parent), lambda line: None).seen, read_depth(folder / OBSERVED)
+    except OSError:  # its image has gone, and the result stays
+        return False
+    except DerenderError:  # told when it is inferred
+        return True
+    same = np.array_equal(seen.depth.astype(np.float32), kept.depth.astype(np.float32), equal_nan=True)
+    return not same or seen.camera != kept.camera
 
 
 def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:

@@ -4,7 +4,8 @@ import contextlib
 import json
 import os
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from hashlib import sha256
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,18 @@ from urllib.parse import quote
 
 from derender import __version__
 from derender.atomic import check_files, locked, make_folder, write_text
-from derender.batch.frames import LEDGER, RESULT, THUMBNAIL, Done, Frame, Order, is_done, rows_in, still_tells
+from derender.batch.frames import (
+    LEDGER,
+    RESULT,
+    THUMBNAIL,
+    Done,
+    Frame,
+    Order,
+    is_done,
+    is_outdated,
+    rows_in,
+    still_tells,
+)
 from derender.errors import DerenderError, printable
 from derender.json_text import misfit, parse_json
 from derender.results.table import EXTENTS, as_csv, as_lines, as_page, digits, extents_text, read_lines, type_text
@@ -34,6 +46,7 @@ class Ledger:
     def __init__(self, folder: str | Path, order: Order) -> None:
         self.folder = make_folder(folder)
         check_files(self.folder, (RUN, LEDGER, TABLE, PAGE))
+        self.order = order
         self._check(order)
         self.rows: dict[str, list[dict[str, Any]]] = {}
         self.recorded: set[str] = set()  # names of this run's frames
@@ -41,35 +54,58 @@ class Ledger:
 
     def _check(self, order: Order) -> None:
         """Record what is asked of the frames; DerenderError where results of something else are there already."""
+        named = [path for path in (order.prior, order.options.known) if isinstance(path, str | Path)]
+        files = {str(path): sha256(Path(path).read_bytes()).hexdigest() for path in named if Path(path).is_file()}
         asked = {"options": list(order.words), "seed": order.options.seed}
         path = self.folder / RUN
-        if path.exists():
-            former: Any = None
-            with contextlib.suppress(DerenderError):
-                former = parse_json(path.read_bytes())
-            if former != asked:
-                words = "" if misfit(former, {"options": [str]}) else " ".join(former["options"])
-                what = f"the results here were made with other options ({words or 'none'})"
-                raise DerenderError(what, self.folder, "give the same ones, or another folder with -o")
-        else:
-            write_text(path, json.dumps(asked) + "\n")
+        if not path.exists():
+            write_text(path, json.dumps(asked | {"files": files}) + "\n")
+            return
+        former: Any = {}
+        with contextlib.suppress(DerenderError):
+            former = parse_json(path.read_bytes())
+        former = former if isinstance(former, dict) else {}
+        if any(former.get(key) != asked[key] for key in asked):
+            words = "" if misfit(former, {"options": [str]}) else " ".join(former["options"])
+            what = f"the results here were made with other options ({words or 'none'})"
+            raise DerenderError(what, self.folder, "give the same ones, or another folder with -o")
+        if former.get("files", files) != files:  # one of an older version does not say
+            what = f"{' or '.join(files)} has changed since the results here were made"
+            raise DerenderError(what, self.folder, "give another folder with -o")
 
     def _read(self) -> None:
         self.rows = {}
         for row in read_lines(self.folder / LEDGER):
             self.rows.setdefault(row["frame"], []).append(row)
 
-    def missing(self, frames: Iterable[Frame]) -> list[Frame]:
-        """Return the frames that have no result yet; of the others without lines, lines are written."""
-        waiting = []
+    def missing(self, frames: Iterable[Frame], warn: Callable[[str], None] = lambda line: None) -> list[Frame]:
+        """Return the frames that have no result; of the others without lines, lines are written.
+
+        A result of another image or camera than there are now is none any more; lines without a result are dropped, or
+        they would be told beside those of the next one. warn : told of the former.
+        """
+        waiting, stale, untold = [], 0, False
         for frame in frames:
-            try:
-                if not is_done(self.folder / frame.name):
-                    waiting.append(frame)
-                elif self.rows.get(frame.name, [{"status": "failed"}])[0]["status"] != "done":
-                    self._append(frame.name, rows_in(self.folder / frame.name, frame.name))
-            except DerenderError:  # its summary is broken
+            folder = self.folder / frame.name
+            if not is_done(folder):
                 waiting.append(frame)
+                untold |= frame.name in self.rows
+                continue
+            broken = is_outdated(folder, frame, self.order)
+            try:
+                if not broken and self.rows.get(frame.name, [{"status": "failed"}])[0]["status"] != "done":
+                    self._append(frame.name, rows_in(folder, frame.name))
+            except DerenderError:  # its summary
+                broken = True
+            if broken:
+                self.recorded.discard(frame.name)
+                (folder / THUMBNAIL).unlink()
+                waiting.append(frame)
+                stale += 1
+        if stale:
+            warn(f"{stale} of the results are broken, or of other images or cameras: they are made again")
+        if stale or untold:
+            self.write_tables(ended=True)
         return waiting
 
     def record(self, done: Done) -> None:

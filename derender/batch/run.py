@@ -92,7 +92,7 @@ def infer_frames(
 
         asked_of_any(order.options, order.prior)
     ledger = Ledger(output, order)
-    waiting = deque(ledger.missing(frames))
+    waiting = deque(ledger.missing(frames, warn))
     before, total, over = {frame.name for frame in frames} - {frame.name for frame in waiting}, len(waiting), 0
     count, failed = {"done": 0, "doubtful": 0}, set[str]()  # failed : names; one that changes may yet be done
     busy = {frame.name for frame in waiting}
@@ -134,7 +134,7 @@ def infer_frames(
                     due = time.monotonic() + max(GATHER, SELDOM * (time.monotonic() - now))
                 if watcher and not stop.is_set():
                     found = watcher.look(busy)
-                    come = ledger.missing(found)
+                    come = ledger.missing(found, warn)
                     waiting.extend(come)
                     busy.update(frame.name for frame in come)
                     before |= {frame.name for frame in found} - busy - ledger.recorded

@@ -67,6 +67,21 @@ def test_a_bad_frame_does_not_stop_the_others_and_jobs_change_no_byte(frames):
     assert str(shown.exception).endswith(f"one: this folder holds 3 results; name one, such as {frames / 'one' / 'a'}")
 
 
+def test_results_of_other_images_and_cameras_are_made_again(tmp_path):
+    """They were told as done: whoever had mended camera.json got the sizes of the wrong one once more."""
+    for number, name in enumerate("abc"):
+        np.save(tmp_path / f"{name}.npy", np.full((48, 64), 0.9 + 0.01 * number, np.float32))
+    camera = {"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5}
+    (tmp_path / "b_camera.json").write_text(json.dumps(camera))
+    infer("a.npy", "b.npy", "c.npy", "-o", "out", "--quick", folder=tmp_path)
+    assert "3 were done before" in infer("a.npy", "b.npy", "c.npy", "-o", "out", "--quick", folder=tmp_path).stderr
+    np.save(tmp_path / "a.npy", np.full((48, 64), 1.1, np.float32))
+    (tmp_path / "b_camera.json").write_text(json.dumps(camera | {"fx": 70, "fy": 70}))
+    again = infer("a.npy", "b.npy", "c.npy", "-o", "out", "--quick", folder=tmp_path)
+    assert again.stdout.splitlines() == ["a\ttrusted", "b\ttrusted"], again.stderr
+    assert "2 of the results are broken, or of other images or cameras: they are made again" in again.stderr
+
+
 def test_a_frame_whose_folder_cannot_be_made_fails_alone(frames, tmp_path, monkeypatch):
     place = Frame("a", str(frames / "frames" / "a.npy"))
     (tmp_path / "a").write_text("in the way")

@@ -15,6 +15,7 @@ from derender.atomic import locked
 from derender.batch.frames import Done, Frame, Order, Watch, failure, find_frames, is_many, rows_in
 from derender.batch.ledger import Ledger, index_page
 from derender.batch.run import duration, words
+from derender.camera.depth_file import read_depth, write_depth
 from derender.camera.image_files import png_bytes
 from derender.errors import DerenderError
 from derender.results.table import COLUMNS, as_csv, as_lines, failed_row, read_lines, rows_of, turn_of
@@ -249,6 +250,42 @@ def test_results_of_other_options_are_not_mixed(tmp_path):
     Ledger(tmp_path, Order(words=["--quick"]))
     with pytest.raises(DerenderError, match=r"other options \(--quick\); give the same ones, or another folder"):
         Ledger(tmp_path, Order(words=["--method", "mcmc"]))
+
+
+def test_results_of_another_prior_are_not_mixed(tmp_path):
+    prior = tmp_path / "prior.yaml"
+    prior.write_text("first")
+    order, out = Order(prior=str(prior), words=["--scene", str(prior)]), tmp_path / "out"
+    Ledger(out, order)
+    Ledger(out, order)
+    prior.write_text("second")
+    with pytest.raises(DerenderError, match=r"prior\.yaml has changed since the results here were made"):
+        Ledger(out, order)
+    (out / "batch.json").write_text(json.dumps({"options": list(order.words), "seed": 0}))  # of an older version
+    Ledger(out, order)
+
+
+@pytest.mark.parametrize("gone", ["image", "thumbnail"])
+def test_lines_of_a_result_that_is_made_again_are_told_no_more(tmp_path, gone):
+    """What was found in an image that has been replaced stood in the tables beside what is found in the new one."""
+    image = tmp_path / "a.npy"
+    np.save(image, np.full((48, 64), 0.9, np.float32))
+    frame, out, warnings = Frame("a", str(image)), tmp_path / "out", []
+    ledger = Ledger(out, Order())
+    done_folder(out, "a", summary(box("old")))
+    write_depth(out / "a" / "observation.npz", read_depth(image).depth, read_depth(image).camera)
+    ledger.record(Done(frame, rows_of("a", summary(box("old")))))
+    os.utime(image)  # touched, as by a copy, and the same
+    assert Ledger(out, Order()).missing([frame], warnings.append) == [] == warnings
+    if gone == "image":
+        np.save(image, np.full((48, 64), 1.1, np.float32))
+    else:
+        (out / "a" / "thumbnail.png").unlink()
+    again = Ledger(out, Order())
+    assert again.missing([frame], warnings.append) == [frame] and len(warnings) == (gone == "image")
+    again.record(Done(frame, rows_of("a", summary(box("new")))))
+    again.write_tables(ended=True)
+    assert [row["object"] for row in read_lines(out / "results.jsonl")] == ["new"]
 
 
 @pytest.mark.parametrize("told", ["5", '{"options": [1]}', '{"options": 5}', "[" * 100_000, "\x00"])
