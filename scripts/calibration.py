@@ -24,17 +24,14 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from derender.cli import status_of
-from derender.document import read_prior_document  # noqa: E402
+from derender.document import read_prior_document
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
+import numpy as np
+from arguments import at_least_one, pixels, read_records, target
 
-import numpy as np  # noqa: E402
-from arguments import at_least_one, pixels, read_records, target  # noqa: E402
-
-from derender.report.scene_json import scene_json  # noqa: E402
-from worlds.made_scenes import drawn_scene  # noqa: E402
+from derender.report.scene_json import scene_json
+from worlds.made_scenes import drawn_scene
 
 DRAWS = 200  # scenes drawn from each posterior
 INSIDE = 0.9  # of the intervals

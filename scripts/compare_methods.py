@@ -13,29 +13,24 @@ cube"), with what `auto` says: the mean and the largest difference, and how many
 import argparse
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
+from evaluate import ENOUGH_PIXELS, truth_scene
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
-
-from arguments import at_least_one  # noqa: E402
-from evaluate import ENOUGH_PIXELS, truth_scene  # noqa: E402
-
-from derender.cli import status_of  # noqa: E402
-from derender.document import read_prior_document  # noqa: E402
-from derender.evaluation.metrics import compare_scenes  # noqa: E402
-from derender.posterior.forward import draw_documents, observe  # noqa: E402
-from derender.render.renderers import find_renderer  # noqa: E402
-from derender.report.scene_json import scene_json  # noqa: E402
-from derender.report.tables import parameter_rows  # noqa: E402
-from derender.results.trust import chain_doubts  # noqa: E402
-from derender.sampling.chains import SCENES, stream  # noqa: E402
-from derender.structures.infer import infer_structure  # noqa: E402
-from derender.structures.jumps.run import DEFAULT_PRIOR  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
-from worlds.made_scenes import SETS, make_scene  # noqa: E402
+from derender.cli import status_of
+from derender.document import read_prior_document
+from derender.evaluation.metrics import compare_scenes
+from derender.posterior.forward import draw_documents, observe
+from derender.render.renderers import find_renderer
+from derender.report.scene_json import scene_json
+from derender.report.tables import parameter_rows
+from derender.results.trust import chain_doubts
+from derender.sampling.chains import SCENES, stream
+from derender.structures.infer import infer_structure
+from derender.structures.jumps.run import DEFAULT_PRIOR
+from derender.structures.options import Options
+from worlds.made_scenes import SETS, make_scene
 
 METHODS = ("auto", "mcmc")
 NEAR = 0.04  # metres between centres of what is one object

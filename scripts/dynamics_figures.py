@@ -11,24 +11,20 @@ where a number is the subject of a film, a peer that is given the TRUE poses and
 """
 
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from arguments import names_in
+from sequences import KINDS, make_sequence, write_sequence
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from arguments import names_in  # noqa: E402
-from sequences import KINDS, make_sequence, write_sequence  # noqa: E402
-
-from derender.atomic import make_folder  # noqa: E402
-from derender.dynamics.result import LEVEL  # noqa: E402
-from derender.errors import DerenderError  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
-from derender.tracking.materials import materials_to_folder  # noqa: E402
-from derender.tracking.run import track_to_folder  # noqa: E402
+from derender.atomic import make_folder
+from derender.dynamics.result import LEVEL
+from derender.errors import DerenderError
+from derender.structures.options import Options
+from derender.tracking.materials import materials_to_folder
+from derender.tracking.run import track_to_folder
 
 GOALS = {
     "friction": "median 3 %, 90 % within 10 %", "restitution": "median .03, all within .1",

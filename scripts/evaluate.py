@@ -26,23 +26,18 @@ import importlib
 import json
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one, pixels
+from real_frames import evaluate_mosd, real_folder, report_sizes
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
-
-from arguments import at_least_one, pixels  # noqa: E402
-from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
-
-from derender.cli import status_of  # noqa: E402
-from derender.evaluation.metrics import compare_scenes  # noqa: E402
-from derender.report.scene_json import scene_json  # noqa: E402
-from derender.sampling.chains import SCENES, stream  # noqa: E402
-from derender.structures.infer import infer_structure  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
-from worlds.made_scenes import SETS, make_scene  # noqa: E402
+from derender.cli import status_of
+from derender.evaluation.metrics import compare_scenes
+from derender.report.scene_json import scene_json
+from derender.sampling.chains import SCENES, stream
+from derender.structures.infer import infer_structure
+from derender.structures.options import Options
+from worlds.made_scenes import SETS, make_scene
 
 REAL_SETS = ("mosd", "graspnet", "ycbv")
 ENOUGH_PIXELS = 100

@@ -16,10 +16,10 @@ import argparse
 import sys
 import time
 from itertools import permutations
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from arguments import at_least_one
 
 from derender.cli import status_of
 from derender.evaluation.convex import intersection_over_union
@@ -28,13 +28,7 @@ from derender.report.scene_json import scene_json
 from derender.structures.infer import infer_structure
 from derender.structures.known.library import Known
 from derender.structures.options import Options
-
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
-
-from arguments import at_least_one  # noqa: E402
-
-from worlds.frontier_scenes import BEHIND, KINDS, SCALE, make  # noqa: E402
+from worlds.frontier_scenes import BEHIND, KINDS, SCALE, make
 
 FEWEST = 100  # pixels of an object that is to be found; of small things SMALLEST
 SMALLEST = 15

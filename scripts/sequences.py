@@ -17,16 +17,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
-
-from arguments import at_least_one  # noqa: E402
-
-from derender.atomic import make_folder  # noqa: E402
-from derender.camera.sensor import SENSORS, find_sensor  # noqa: E402
-from derender.cli import status_of  # noqa: E402
-from worlds.made_scenes import camera_of, look_at  # noqa: E402
+from derender.atomic import make_folder
+from derender.camera.sensor import SENSORS, find_sensor
+from derender.cli import status_of
+from worlds.made_scenes import camera_of, look_at
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
 FRAMES, SIZE = 24, (160, 120)

@@ -20,16 +20,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
 from derender.camera.depth_file import write_depth
 from derender.cli import status_of
-
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
-
-from arguments import at_least_one  # noqa: E402
-
-from worlds.made_scenes import SETS, make_scene  # noqa: E402
+from worlds.made_scenes import SETS, make_scene
 
 
 def write_frames(folder, count):

@@ -13,27 +13,22 @@ thing's name is nearest to another true object in a later frame than at first, b
 likelihood draws all solids anew, blurs and compares all pixels.
 """
 
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
+from arguments import names_in
+from sequences import KINDS, make_sequence
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from arguments import names_in  # noqa: E402
-from sequences import KINDS, make_sequence  # noqa: E402
-
-from derender.camera.intrinsics import Camera  # noqa: E402
-from derender.render.raycast.normal_equations import cost  # noqa: E402
-from derender.scene.solids import KINDS as SOLIDS  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
-from derender.tracking.contact import parent_probabilities  # noqa: E402
-from derender.tracking.film import Film  # noqa: E402
-from derender.tracking.passes import Passes  # noqa: E402
-from derender.tracking.run import inferrer  # noqa: E402
-from derender.tracking.thing import start_from  # noqa: E402
-from derender.tracking.track import Recorder  # noqa: E402
+from derender.camera.intrinsics import Camera
+from derender.render.raycast.normal_equations import cost
+from derender.scene.solids import KINDS as SOLIDS
+from derender.structures.options import Options
+from derender.tracking.contact import parent_probabilities
+from derender.tracking.film import Film
+from derender.tracking.passes import Passes
+from derender.tracking.run import inferrer
+from derender.tracking.thing import start_from
+from derender.tracking.track import Recorder
 
 LOST = 0.03  # metres
 STIRRED = 1e-4  # metres from frame to frame: what moves by less rests

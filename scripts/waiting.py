@@ -17,16 +17,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from arguments import at_least_one
 
 from derender.cli import status_of
-
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]  # what lies beside, and worlds/
-
-from arguments import at_least_one  # noqa: E402
-
-from derender.sampling.chains import SCENES, stream  # noqa: E402
-from worlds.made_scenes import SETS, make_scene  # noqa: E402
+from derender.sampling.chains import SCENES, stream
+from worlds.made_scenes import SETS, make_scene
 
 WARM_SETS = ("settled", "noisy", "mixed", "tower", "cubes")
 
