@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
-from os.path import commonprefix
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -151,19 +150,21 @@ def _encoding(message: Any) -> str:
 
 
 def _camera(reader: Any, topic: str) -> dict[str, Any] | None:
-    """Return the camera of a topic: the CameraInfo whose topic begins as it does, and RealSense's unit."""
-    infos = [each for each in reader.connections if each.msgtype == INFO]
-    if not infos:
-        return None
-    best = max(infos, key=lambda each: len(commonprefix([each.topic, topic])))
-    message = _first(reader, best)
+    """Return the camera of a topic: the CameraInfo within whose namespace it lies, and RealSense's unit; None where
+    there is none: that of another sensor, such as the colour camera's, is not its own."""
+    within = {each.topic.rpartition("/")[0].removesuffix("/info"): each for each in reader.connections
+              if each.msgtype == INFO}  # fmt: skip
+    found = [space for space in within if topic.startswith(f"{space}/")]
+    message = _first(reader, within[max(found, key=len)]) if found else None
     if message is None:
         return None
     fields = {key.lower(): getattr(message, key) for key in ("D", "K", "P", "d", "k", "p") if hasattr(message, key)}
     rectified = "rect" in topic  # the lens's distortion has been taken out: P is what is left
     matrix = np.reshape(fields["p"], (3, 4)) if rectified else np.reshape(fields["k"], (3, 3))
     tree = {"width": int(message.width), "height": int(message.height), "D": [] if rectified else fields["d"].tolist(),
-            "fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}  # fmt: skip
+            "fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2],
+            "distortion_model": "" if rectified else str(message.distortion_model), "binning_x": message.binning_x,
+            "binning_y": message.binning_y, "roi": vars(message.roi)}  # fmt: skip
     for connection in reader.connections:
         if connection.topic.endswith(UNIT):
             with suppress(AttributeError, TypeError, ValueError):  # a Float32 in .bag, a String in .db3, or none

@@ -131,6 +131,31 @@ def test_ros_2_topics_are_chosen_and_rectified_ones_take_the_projection(tmp_path
     assert np.allclose(packed.depth, metres[0], atol=6e-4)
 
 
+def test_only_a_camera_info_of_its_own_namespace_is_an_image_s(tmp_path):
+    """Of a recording without the depth camera's own, the colour camera's was taken in silence."""
+    colour = ("/camera/color/camera_info", INFO, [info()])
+    depth = ("/camera/depth/image_rect_raw", IMAGE, [image(DEPTHS[0])])
+    assert read_depth(f"{write_bag(tmp_path / 'one.bag', [colour, depth])}@0").camera_is_guess
+    projection = np.pad(np.reshape(MATRIX, (3, 3)) + np.diag([5.0, 5.0, 0.0]), ((0, 0), (0, 1)))
+    own = ("/camera/depth/camera_info", INFO, [info(projection=projection)])
+    assert read_depth(f"{write_bag(tmp_path / 'two.bag', [colour, depth, own])}@0").camera.fx == 75.0
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [({"binning_x": 2}, "binning_x is 2"), ({"distortion_model": "equidistant"}, "no pinhole camera"),
+     ({"roi": (4, 0)}, "region of interest has an offset")],
+)  # fmt: skip
+def test_a_bag_s_camera_is_refused_as_a_file_s_is(tmp_path, told, words):
+    if "roi" in told:
+        region = info()["roi"]
+        told = {"roi": type(region)(*told["roi"], 0, 0, False)}
+    topics = [("/a/image", IMAGE, [image(DEPTHS[0])]), ("/a/camera_info", INFO, [info() | told])]
+    bag = write_bag(tmp_path / "x.bag", topics)
+    with pytest.raises(DerenderError, match=words):
+        read_depth(f"{bag}@0")
+
+
 def test_compressed_floats_are_unfolded(tmp_path):
     a, b = np.float32(1000.0), np.float32(-3.0)
     units = (a / (1e-3 * DEPTHS[0]) + b).round().astype(np.uint16)
