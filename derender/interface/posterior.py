@@ -54,7 +54,8 @@ class Found(NamedTuple):
     """One object of a posterior's most probable scene.
 
     name, type : of the object; type_probability : of each type that it may be of, given that it is there.
-    size : (3,) metres, full extents along its own axes; size_error : (3,), half of their 90 % ranges; NaN: no draws.
+    size : (3,) metres, full extents along its own axes; size_interval : (3, 2), the ends of their 90 % ranges, and
+        size_error : (3,), half of those; NaN: no draws.
     pose : (4, 4), object to camera.
     parent : what it rests on; parent_probability : of each thing that it may rest on, by name.
     probability : that the object is there.
@@ -63,25 +64,29 @@ class Found(NamedTuple):
     name: str
     type: str
     size: np.ndarray
-    size_error: np.ndarray
+    size_interval: np.ndarray
     pose: np.ndarray
     parent: str
     parent_probability: dict[str, float]
     probability: float
     type_probability: dict[str, float]
 
+    @property
+    def size_error(self) -> np.ndarray:
+        """(3,) metres."""
+        return 0.5 * (self.size_interval[:, 1] - self.size_interval[:, 0])
+
 
 class Objects(tuple[Found, ...]):
     """The objects of a posterior, a tuple of `Found`, by number or by name."""
 
-    HEAD = ("object", "type", "size ± half of the 90 % range, cm", "rests on", "p")
+    HEAD = ("object", "type", "size (± half of the 90 % range), cm", "rests on", "p")
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return what is known of each in words, as HEAD names it."""
         told: list[tuple[str, ...]] = []
         for found in self:
-            ranges = np.column_stack([found.size - found.size_error, found.size + found.size_error])
-            words = extents_text(found.size, ranges if np.isfinite(ranges).all() else None)
+            words = extents_text(found.size, found.size_interval if np.isfinite(found.size_interval).all() else None)
             kind = type_text(found.type, found.type_probability[found.type])
             told.append((found.name, kind, words, found.parent, digits(found.probability)))
         return told
@@ -113,8 +118,10 @@ class Objects(tuple[Found, ...]):
                 "type": found.type,
                 "type_probability": found.type_probability[found.type],
             }
-            for side, size, error in zip(EXTENTS, found.size, found.size_error, strict=True):
-                row |= {side: float(size), f"{side}_error": float(error)}
+            for k, side in enumerate(EXTENTS):
+                low, high = map(float, found.size_interval[k])
+                row |= {side: float(found.size[k]), f"{side}_error": float(found.size_error[k])}
+                row |= {f"{side}_low": low, f"{side}_high": high}
             row |= dict(zip("xyz", map(float, found.pose[:3, 3]), strict=True))
             rows.append(row | {"rests_on": found.parent, "probability": found.probability})
         return pandas.DataFrame(rows)
@@ -175,10 +182,10 @@ class Posterior(kept.Posterior):
         for item in scene_json(self.best_graph(), self)["objects"]:
             if item["size"] is None:
                 continue
-            low, high = np.array(item["size_interval"] or np.full((3, 2), np.nan)).T
+            interval = np.array(item["size_interval"] or np.full((3, 2), np.nan))
             found.append(
                 Found(
-                    item["name"], item["type"], np.array(item["size"]), 0.5 * (high - low), np.array(item["pose"]),
+                    item["name"], item["type"], np.array(item["size"]), interval, np.array(item["pose"]),
                     item["parent"], item["parent_probability"], item["probability"], item["type_probability"],
                 )
             )  # fmt: skip
@@ -259,14 +266,15 @@ class Posterior(kept.Posterior):
         """Draw length, width and height of each object with their 90 % ranges into matplotlib axes, and return them."""
         axes, objects = axes_for(ax), self.objects
         places = np.arange(len(objects))
-        sizes, errors = (1000 * np.array([getattr(found, name) for found in objects]).reshape(-1, len(EXTENTS))
-                         for name in ("size", "size_error"))  # fmt: skip
+        sizes = 1000 * np.array([found.size for found in objects]).reshape(-1, len(EXTENTS))
+        ranges = 1000 * np.array([found.size_interval for found in objects]).reshape(-1, len(EXTENTS), 2)
+        errors = np.maximum((ranges - sizes[..., None]) * [-1, 1], 0.0)  # of a value outside its range one is none
         for number, side in enumerate(EXTENTS):
-            told = sizes[:, number], errors[:, number]
+            told = sizes[:, number], errors[:, number].T
             axes.errorbar(places + 0.2 * (number - 1), *told, fmt="o", capsize=3, label=side)
         axes.set_xticks(places, [found.name for found in objects], rotation=30, ha="right")
         axes.set_ylabel("mm, 90 % range" if np.isfinite(errors).any() else "mm")
-        axes.set_ylim(0, 1.1 * np.max(sizes + np.nan_to_num(errors), initial=1.0))
+        axes.set_ylim(0, 1.1 * max(np.max(sizes, initial=1.0), np.max(np.nan_to_num(ranges), initial=1.0)))
         axes.legend()
         return axes
 

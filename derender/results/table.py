@@ -130,13 +130,20 @@ def as_page(title: str, style: str, body: str, script: str) -> str:
     )
 
 
+LOPSIDED = 0.5  # of half a range: a value that lies farther than that from the range's middle is told with both ends
+
+
 def extents_text(size: Iterable[float], ranges: Iterable[Iterable[float]] | None = None) -> str:
-    """Return extents, metres, in centimetres, with half of their ranges (low, high) where there are any."""
+    """Return extents, metres, in centimetres, with half of their ranges (low, high) where there are any: "9.3 ± 0.2";
+    "9.3 (9.1 to 16.8)" where a range is not about the value, as of a side that is hidden."""
     words = []
     for value, (low, high) in zip(size, ((each, each) for each in size) if ranges is None else ranges, strict=True):
         half = 50.0 * (high - low)
         places = 1 if half == 0.0 or half >= 0.05 else 2
-        words.append(f"{100 * value:.{places}f}" + (f" ± {max(half, 0.01):.{places}f}" if half > 0.0 else ""))
+        error = f" ± {max(half, 0.01):.{places}f}" if half > 0.0 else ""
+        if abs(100.0 * value - 50.0 * (low + high)) > LOPSIDED * half > 0.0 and half >= 0.01:
+            error = f" ({100 * low:.{places}f} to {100 * high:.{places}f})"
+        words.append(f"{100 * value:.{places}f}{error}")
     return " × ".join(words)
 
 

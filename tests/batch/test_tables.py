@@ -18,7 +18,7 @@ from derender.batch.run import duration, words
 from derender.camera.depth_file import read_depth, write_depth
 from derender.camera.image_files import png_bytes
 from derender.errors import DerenderError
-from derender.results.table import COLUMNS, as_csv, as_lines, failed_row, read_lines, rows_of, turn_of
+from derender.results.table import COLUMNS, as_csv, as_lines, extents_text, failed_row, read_lines, rows_of, turn_of
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.structures.options import Options
 
@@ -141,6 +141,13 @@ def test_rows_hold_size_place_and_turn():
     assert (first["x"], first["y"], first["z"], first["rests_on"]) == (0.1, 0.2, 0.9, "floor")
     assert first["turn"] == pytest.approx(0.3, abs=1e-5) and rows[1]["length_low"] is None
     assert first["trusted"] is False and first["doubts"] == ["why"]
+
+
+def test_a_range_that_is_not_about_its_value_is_told_by_both_ends():
+    """Of a side that is hidden the likeliest extent is the least: 9.3 ± 3.9 cm stood where it was 9.1 to 16.8."""
+    assert extents_text([0.093, 0.1], [(0.091, 0.168), (0.0985, 0.1005)]) == "9.3 (9.1 to 16.8) × 10.0 ± 0.1"
+    assert extents_text([0.05], [(0.05, 0.05)]) == extents_text([0.05]) == "5.0"
+    assert extents_text([0.093], [(0.0931, 0.0935)]) == "9.30 (9.31 to 9.35)"
 
 
 def test_turn_is_seen_from_above_whatever_the_camera_sees():

@@ -287,6 +287,7 @@ def test_objects_and_structures(posterior):
     pandas = pytest.importorskip("pandas")
     table = posterior.objects.to_pandas()
     assert isinstance(table, pandas.DataFrame) and list(table.name) == names and table.length[0] == first.size[0]
+    assert table[["width_low", "width_high"]].loc[0].to_list() == first.size_interval[1].tolist()
 
 
 def test_scenes_and_images_are_drawn_from_the_posterior(posterior, image):

@@ -31,6 +31,24 @@ def test_a_range_holds_ninety_percent_along_the_own_axes():
     assert told["die"] == [[0.02, 0.02]] * 3
 
 
+def test_a_range_that_is_not_about_the_best_is_told_and_drawn_as_it_is():
+    """A bar of half its length to both sides of the best stood for it, down to sizes that no draw has."""
+    import matplotlib.pyplot as plt
+
+    radius = np.concatenate([[0.05], np.random.default_rng(0).uniform(0.05, 0.1, 399)])
+    lopsided = part(radius)
+    lopsided.log_density.flat[0] = 1.0  # the best is the least
+    found = interface.Posterior.of(Posterior((lopsided,)), None)
+    low, high = found.objects["tin"].size_interval[0]
+    assert found.objects["tin"].size[0] == pytest.approx(0.1) and 0.1 < low < 0.12 < 0.19 < high
+    assert f"10.0 ({100 * low:.1f} to {100 * high:.1f})" in repr(found.objects)
+    told = {name: ends[0] for name, ends in size_intervals(found).items() if ends}
+    assert told["tin"] == [low, high]
+    (bars,) = found.plot_sizes().containers[0][2]
+    assert max(end[1] for line in bars.get_segments() for end in line) == pytest.approx(1000 * high)
+    plt.close("all")
+
+
 def test_of_one_draw_no_range_is_told():
     """`--quick` told ranges of no width at all: sizes known exactly, which they are not."""
     best = Posterior((part(np.full(40, 0.05)).best_only(),))
