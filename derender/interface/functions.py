@@ -212,14 +212,6 @@ class Acts(TypedDict, total=False):
     jitter: str | None
 
 
-class How(Acts, total=False):
-    """Interventions, and how they are simulated; see `simulate`."""
-
-    engine: str
-    duration: float
-    jobs: int
-
-
 class Simulation(NamedTuple):
     """What physics says of a scene or a posterior.
 
@@ -290,14 +282,15 @@ def simulate(
     acts = Acts(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
     once = intervention(**acts)._replace(jitter=None)
     best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=early)
-    chance = chance_of_one(best.stable, missed=0.0 if posterior is None else posterior.missed)
+    missed = 0.0 if posterior is None else posterior.missed
+    chance = chance_of_one(best.stable, missed=missed)
     if draws and (jitter or (posterior is not None and posterior.uncertain)):
-        run = How(engine=engine, duration=duration, jobs=jobs, **acts)
-        if posterior is not None:
-            chance = posterior.probability("stands", draws=draws, until=until, seed=seed, **run)
-        else:
-            graphs = repeat(found.graph, draws if until is None else MOST_DRAWS)
-            chance = probability(graphs, "stands", until=until, seed=seed, **run)
+        count = draws if until is None else MOST_DRAWS
+        rng = np.random.default_rng(seed)
+        graphs = repeat(found.graph, count) if posterior is None else posterior.each_graph(rng, count)
+        chance = probability(
+            graphs, "stands", until=until, seed=seed, engine=engine, duration=duration, jobs=jobs, missed=missed, **acts
+        )
     path = best.trajectory
     names = tuple(best.displacement) if path is None else path.names
     return Simulation(

@@ -2,11 +2,11 @@
 
 import tempfile
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from derender.results import posterior as kept
 from derender.results.predictive import blocks_of, predictive_images, write_netcdf
 from derender.results.table import EXTENTS, digits, extents_text, type_text
 from derender.scene.graph import SceneGraph
-
-if TYPE_CHECKING:
-    from derender.interface.functions import How
 
 MOST_DRAWS = 100_000  # simulated where an error is asked for
 MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's page
@@ -217,27 +214,38 @@ class Posterior(kept.Posterior):
         return predictive_images(self, self.camera, count, np.random.default_rng(seed))
 
     @in_pythons_words
+    @only_its_keywords
     def probability(
         self,
         event: Callable[[Outcome], bool] | str,
         *,
         draws: int = 200,
         until: float | None = None,
+        engine: str = "mujoco",
+        duration: float = 2.0,
+        jobs: int = 1,
         seed: int = 0,
-        **how: "Unpack[How]",
+        push: str | Sequence[str] = (),
+        remove: str | Sequence[str] = (),
+        add: str | Sequence[str] = (),
+        tilt: str | None = None,
+        shake: str | None = None,
+        jitter: str | None = None,
     ) -> Chance:
         """Return how probable something is to happen: (probability, standard error, draws simulated).
 
         event : what a `derender.physics.outcome.Outcome` must be like; or a verdict ("stands", "settles", "falls"); or
             the name of an object that moves.
         draws : to simulate. until : instead, as many as it takes to a standard error no greater than this.
-        how : engine, duration and jobs, and what is done to the scene: push, remove, add, tilt, shake, jitter; see
-            `derender.simulate`.
+        The others are those of `derender.simulate`.
 
         Of what was missed, with probability `missed`, no draw tells: half of that counts as the event.
         """
         graphs = self.each_graph(np.random.default_rng(seed), draws if until is None else MOST_DRAWS)
-        return probability(graphs, event, until=until, seed=seed, missed=self.missed, **how)
+        return probability(
+            graphs, event, until=until, seed=seed, engine=engine, duration=duration, jobs=jobs, missed=self.missed,
+            push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter,
+        )  # fmt: skip
 
     def to_arviz(self) -> Any:
         """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.

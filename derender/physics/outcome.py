@@ -137,6 +137,11 @@ def outcomes(
     """
     from concurrent.futures import ThreadPoolExecutor
 
+    if jobs < 1:
+        raise DerenderError(f"jobs is {jobs}", None, "give a whole number from 1")
+    if until is not None and not until > 0.0:
+        raise DerenderError(f"until is {until:g}", None, "give a standard error, more than none")
+
     def run(item: "tuple[int, SceneGraph | Matter]") -> Outcome:
         rng = np.random.default_rng([seed, item[0]])
         return simulate_scene(item[1], engine=engine, duration=duration, what=what, rng=rng)
@@ -204,8 +209,10 @@ def probability(
             bodies.update(body.name for body in outcome.matter.bodies)
             return outcome.verdict == word if word in (STANDS, SETTLES, FALLS) else word in outcome.fallen
 
-    runs = outcomes(scenes, what, seed, engine, duration, jobs, until, event)
-    chance = chance_of([bool(event(run)) for run in runs], missed=missed)
+    happened = [bool(event(run)) for run in outcomes(scenes, what, seed, engine, duration, jobs, until, event)]
+    if not happened:
+        raise DerenderError("there are no draws", None, "give draws from 1")
+    chance = chance_of(happened, missed=missed)
     if bodies and word not in (STANDS, SETTLES, FALLS, *bodies):
         raise DerenderError(f"{word!r} is no verdict and no object", None, suggest(word, bodies))
     return chance

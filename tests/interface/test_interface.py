@@ -290,6 +290,24 @@ def test_objects_and_structures(posterior):
     assert table[["width_low", "width_high"]].loc[0].to_list() == first.size_interval[1].tolist()
 
 
+def test_how_many_draws_are_simulated_is_judged_before_any(posterior):
+    """Of no draws P was nan, an error below 0 was waited for without an end, and an unknown word was a trace."""
+    with pytest.raises(TypeError, match=r"probability\(\) has no keyword 'engin'; did you mean 'engine'"):
+        posterior.probability("stands", engin="statics")
+    for wrong in ({"draws": -1}, {"draws": 2.5}, {"seed": -1}, {"until": "1%"}):
+        with pytest.raises(TypeError, match=f"{next(iter(wrong))} is "):
+            posterior.probability("stands", **wrong)
+    for wrong, words in (
+        ({"draws": 0}, "give draws from 1"),
+        ({"until": -1.0}, "until is -1"),
+        ({"jobs": 0}, "jobs is 0"),
+    ):
+        with pytest.raises(DerenderError, match=words):
+            posterior.probability("stands", engine="statics", **wrong)
+    with pytest.raises(DerenderError, match="jobs is 0; give a whole number from 1"):
+        derender.simulate(derender.sample("stack"), jitter="2mm,1deg", engine="statics", jobs=0)
+
+
 def test_scenes_and_images_are_drawn_from_the_posterior(posterior, image):
     scenes = posterior.sample_scenes(3, seed=5)
     assert [scene.names for scene in scenes] == [scene.names for scene in posterior.sample_scenes(3, seed=5)]
