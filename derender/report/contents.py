@@ -94,19 +94,15 @@ def report_of(
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)
     known = {key: value for key, value in known.items() if value not in (None, "")}
-    method = "map" if posterior is not None and posterior.meta.get("method") == "map" else ""
-    files = downloads(title, graph, scene, method) if shown else {}
+    files = downloads(title, graph, scene) if shown else {}
     return Report(title, scene, graph.solids(), graph.solid_names, camera, observed, draws, rows, structures, known,
                   dict(likelihood or {}), doubts, fit, files, posterior=posterior)  # fmt: skip
 
 
-def downloads(title: str, graph: SceneGraph, scene: Mapping[str, Any], method: str) -> dict[str, tuple[str, bytes]]:
-    """Return the files that a page offers: a row for each object as CSV, and the scene as GLB.
-
-    method : with which it was inferred; of one draw there are no ranges.
-    """
+def downloads(title: str, graph: SceneGraph, scene: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
+    """Return the files that a page offers: a row for each object as CSV, and the scene as GLB."""
     judged = {"trusted": scene.get("trusted", True), "doubts": scene.get("doubts", ())}
-    rows = rows_of(title, {"scene": scene, "method": method, **judged})
+    rows = rows_of(title, {"scene": scene, **judged})
     return {"objects.csv": ("text/csv", as_csv(rows).encode()), "scene.glb": ("model/gltf-binary", glb_bytes(graph))}
 
 

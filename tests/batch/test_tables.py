@@ -23,9 +23,9 @@ from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.structures.options import Options
 
 
-def summary(*objects, trusted=True, doubts=(), method="auto"):
+def summary(*objects, trusted=True, doubts=()):
     scene = {"frame": "camera", "gravity": [0.0, 9.81, 0.0], "objects": list(objects)}
-    return {"scene": scene, "trusted": trusted, "doubts": list(doubts), "method": method}
+    return {"scene": scene, "trusted": trusted, "doubts": list(doubts)}
 
 
 def box(name="box_1", size=(0.2, 0.1, 0.05), pose=None, interval=True):
@@ -159,7 +159,7 @@ def test_turn_is_seen_from_above_whatever_the_camera_sees():
 
 
 def test_the_best_scene_alone_has_no_ranges_but_the_probability_that_the_terminal_says():
-    (row,) = rows_of("a", summary(FLOOR, box(interval=False), method="map"))
+    (row,) = rows_of("a", summary(FLOOR, box(interval=False)))
     assert row["length"] == 0.2 and row["length_low"] is None and row["probability"] == 0.97
 
 
@@ -209,7 +209,7 @@ def test_a_ledger_goes_on_where_it_was_killed(tmp_path):
     assert [row["object"] for row in last] == ["box_1", "box_2"]
 
 
-@pytest.mark.parametrize("told", [{}, {"scene": {"objects": [{}]}, "trusted": 1, "doubts": 5, "method": "map"}])
+@pytest.mark.parametrize("told", [{}, {"scene": {"objects": [{}]}, "trusted": 1, "doubts": 5}])
 def test_what_is_broken_in_the_folder_is_made_again(tmp_path, told):
     line = {"frame": "a", "status": "done", "trusted": True, "doubts": []}
     junk = [json.dumps(line | wrong) for wrong in ({"doubts": 5}, {"doubts": [1]}, {"object": {}}, {"length": "x"})]
@@ -325,7 +325,7 @@ def test_the_page_names_every_frame_and_escapes_it(tmp_path):
     open_type = {"open": rows_of("open", summary(FLOOR, box() | {"type_probability": {"box": 0.35, "cube": 0.65}}))}
     assert open_type["open"][0]["type_probability"] == 0.35 and rows["<a>/1"][0]["type_probability"] is None
     assert "box_1, box (p .35): 20.0 ± 2.0" in index_page(tmp_path, open_type)
-    quick = {"quick": rows_of("quick", summary(FLOOR, box(interval=False), method="map"))}
+    quick = {"quick": rows_of("quick", summary(FLOOR, box(interval=False)))}
     assert "90 % ranges" in page and "90 % ranges" not in index_page(tmp_path, quick)  # none are shown, none are told
 
 

@@ -26,7 +26,7 @@ def many_frames(folder):
     for name, trusted in (("fine", True), ("doubtful", False)):
         told = {"trusted": trusted, "doubts": [] if trusted else ["the chains disagree"]}
         scene = {"objects": [box], "gravity": [0.0, 1.0, 0.0]}
-        rows[name] = rows_of(name, {"scene": scene, "method": "map", **told})
+        rows[name] = rows_of(name, {"scene": scene, **told})
     return index_page(folder, rows)
 
 
