@@ -313,9 +313,10 @@ def _given(
         document, seen.depth, seen.camera, settings, options, command, progress, warn
     )
     likelihood = document.likelihood or LikelihoodPrior()
+    drawn = {"drawn": replace(likelihood, values=likelihood.drawn).means} if likelihood.drawn else {}
     meta = {
         **posterior.meta, "interrupted": interrupted, "lost_chains": lost,
-        "likelihood": {"type": likelihood.type, **likelihood.fixed},  # what is unknown of it is among the draws
+        "likelihood": {"type": likelihood.type, **likelihood.fixed, **drawn},  # its unknown numbers are among the draws
     }  # fmt: skip
     return replace(posterior, meta=meta), likelihood
 

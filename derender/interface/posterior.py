@@ -318,7 +318,8 @@ class Posterior(kept.Posterior):
     def _scene(self, graph: SceneGraph) -> Scene:
         told = dict(self.meta.get("likelihood") or {})
         kind = told.pop("type", None)
-        return Scene(graph, self.camera, None if kind is None else LikelihoodPrior(kind, told))
+        drawn = told.pop("drawn", {})
+        return Scene(graph, self.camera, None if kind is None else LikelihoodPrior(kind, told, drawn))
 
 
 def fitted_lines(axes: Any, texts: list[str]) -> tuple[int, list[str]]:

@@ -60,8 +60,7 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
 def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodPrior | None) -> np.ndarray:
     """Return an observation (H, W) of a clean depth image, drawn from the likelihood, or as a field of noise where that
     says so; NaN stays without a return."""
-    from derender.render.likelihoods import likelihoods
+    from derender.render.likelihoods import drawn_image
 
     told = (likelihood or LikelihoodPrior()).drawn_by(rng)
-    kind: Any = likelihoods[told.type]
-    return kind.field(rng, depth, {**told.values, **told.drawn}) if told.drawn else kind.sample(rng, depth, told.values)
+    return drawn_image(told.type, rng, depth, told.values, told.drawn)

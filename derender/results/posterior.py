@@ -311,7 +311,7 @@ def plain(value: Any) -> Any:
 
 TURNS_SLIP = 1e-6  # by which products of a rotation's columns may miss those of unit vectors: rounding brings 1e-15
 WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits
-LIKELIHOOD = {"type?": str, str: float}
+LIKELIHOOD = {"type?": str, "drawn?": {str: float}, str: float}
 # What a posterior's file says beside its arrays, as `misfit` takes it.
 HEADER = {
     "seed": {int, None}, "command": {str, None}, "version": {str, None},

@@ -17,7 +17,7 @@ from derender.atomic import write_bytes
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads
 from derender.errors import DerenderError
-from derender.render.likelihoods import likelihoods
+from derender.render.likelihoods import drawn_image
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.results.posterior import Posterior, StructurePosterior
@@ -102,7 +102,7 @@ def image_at(
     """Return (H, W), an image drawn from the likelihood of one draw, at a camera's pixels."""
     kind, values = likelihood_at(posterior, part, chain, draw)
     clean, _ = render_depth(part.graph_at(chain, draw).solids(), camera)
-    return likelihoods[kind].sample(rng, clean, values)
+    return drawn_image(kind, rng, clean, values, posterior.meta["likelihood"].get("drawn"))
 
 
 def likelihood_at(
@@ -116,6 +116,7 @@ def likelihood_at(
     if "type" not in told:
         raise DerenderError("the posterior does not say what its likelihood was", remedy="infer again")
     kind = told.pop("type")
+    told.pop("drawn", None)  # of images alone
     return kind, {name: float(value) for name, value in told.items()} | part.likelihood_at(chain, draw)
 
 

@@ -119,6 +119,16 @@ def surface_density(residual: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * (residual / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
 
 
+def drawn_image(
+    kind: str, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, Any], drawn: Mapping[str, Any] | None
+) -> np.ndarray:
+    """Return an image (H, W) drawn by the density of a likelihood, or where `drawn` says more as a field of noise."""
+    likelihood: Any = likelihoods[kind]
+    if drawn:
+        return likelihood.field(rng, depth, {**values, **drawn})
+    return likelihood.sample(rng, depth, values)
+
+
 @likelihoods.register("gaussian")
 class Gaussian(Likelihood):
     """Norm(observed; b(d), sigma) in every pixel with a return; a pixel without one is evidence of nothing."""
