@@ -307,6 +307,9 @@ def test_images_are_drawn_as_those_of_a_calibrated_camera(tmp_path):
         for each in (image.depth, posterior.predictive(1)[0], posterior.best.render(noise=True).depth)
     )
     np.testing.assert_allclose(drawn, [seen, seen], rtol=0.3)
+    wrong = {"type": "gaussian", "sigma": 0.01, "drawn": {"outlier": 0.1}}
+    with pytest.raises(DerenderError, match="a gaussian likelihood draws no field of noise"):
+        replace(posterior, meta={**posterior.meta, "likelihood": wrong}).predictive(1)
 
 
 def test_how_many_draws_are_simulated_is_judged_before_any(posterior):

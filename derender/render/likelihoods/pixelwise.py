@@ -94,6 +94,10 @@ class Likelihood:
         """Draw an observed image: (H, W) float64, NaN where nothing returns."""
         raise NotImplementedError
 
+    def field(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
+        """Draw an image whose noise is one field, where a likelihood has such noise beside its density."""
+        raise DerenderError(f"a {self.name} likelihood draws no field of noise", "likelihood", "leave out drawn")
+
     def log_density(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> float:
         """Return the log density of an observed image."""
         return math.fsum(self.per_pixel(observed, depth, values).ravel())
@@ -123,10 +127,8 @@ def drawn_image(
     kind: str, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, Any], drawn: Mapping[str, Any] | None
 ) -> np.ndarray:
     """Return an image (H, W) drawn by the density of a likelihood, or where `drawn` says more as a field of noise."""
-    likelihood: Any = likelihoods[kind]
-    if drawn:
-        return likelihood.field(rng, depth, {**values, **drawn})
-    return likelihood.sample(rng, depth, values)
+    likelihood = likelihoods[kind]
+    return likelihood.field(rng, depth, {**values, **drawn}) if drawn else likelihood.sample(rng, depth, values)
 
 
 @likelihoods.register("gaussian")
