@@ -196,7 +196,8 @@ jobs = click.option(
 camera = click.option(
     "--camera",
     metavar="FILE",
-    help="Camera file: BOP, Open3D, ROS camera_info or RealSense intrinsics (JSON or YAML), or a derender scene.",
+    help="Camera file as BOP, ROS, OpenCV, Open3D, RealSense, COLMAP, ORB-SLAM or a device writes it, a 3 x 3 matrix, "
+    "or a derender scene.",
 )
 depth_scale = click.option(
     "--depth-scale",
