@@ -296,13 +296,14 @@ def is_outdated(folder: Path, frame: Frame, order: Order) -> bool:
     files = [recording[1] if recording else frame.path, order.reading.camera or camera_beside(frame.path)]
     try:
         changes = [os.stat(file) for file in files if file is not None]
+    except OSError:  # its image has gone, and the result stays
+        return False
+    try:
         made = (folder / THUMBNAIL).stat().st_mtime
         if all(max(each.st_mtime, each.st_ctime) < made for each in changes):
             return False
         seen, kept = request_of(frame, order, str(folder.parent), lambda line: None).seen, read_depth(folder / OBSERVED)
-    except OSError:  # its image has gone, and the result stays
-        return False
-    except DerenderError:  # told when it is inferred
+    except (OSError, DerenderError):  # another process makes it again; or it cannot be read, as is told by inferring it
         return True
     same = np.array_equal(seen.depth.astype(np.float32), kept.depth.astype(np.float32), equal_nan=True)
     return not same or seen.camera != kept.camera

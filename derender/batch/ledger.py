@@ -99,7 +99,7 @@ class Ledger:
                 broken = True
             if broken:
                 self.recorded.discard(frame.name)
-                (folder / THUMBNAIL).unlink()
+                (folder / THUMBNAIL).unlink(missing_ok=True)  # another process may have been here
                 waiting.append(frame)
                 stale += 1
         if stale:

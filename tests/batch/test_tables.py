@@ -295,6 +295,17 @@ def test_lines_of_a_result_that_is_made_again_are_told_no_more(tmp_path, gone):
     assert [row["object"] for row in read_lines(out / "results.jsonl")] == ["new"]
 
 
+def test_two_processes_may_find_the_same_result_outdated(tmp_path, monkeypatch):
+    image, out = tmp_path / "a.npy", tmp_path / "out"
+    np.save(image, np.full((48, 64), 0.9, np.float32))
+    frame, seen = Frame("a", str(image)), read_depth(image)
+    done_folder(out, "a", summary(box("old")))
+    write_depth(out / "a" / "observation.npz", seen.depth, seen.camera)
+    (out / "a" / "thumbnail.png").unlink()
+    monkeypatch.setattr("derender.batch.ledger.is_done", lambda folder: True)  # as it was a moment ago
+    assert Ledger(out, Order()).missing([frame]) == [frame]
+
+
 @pytest.mark.parametrize("told", ["5", '{"options": [1]}', '{"options": 5}', "[" * 100_000, "\x00"])
 def test_what_does_not_say_which_options_there_were_is_of_others(tmp_path, told):
     (tmp_path / "batch.json").write_text(told)
