@@ -101,7 +101,7 @@ def on_one_floor(
     """
     fills = correlation is not None
     floor = settings.believed.loose.floor
-    seen = observe(depth, camera, WIDEST, plane, settings.may_float, fills, floor)
+    seen = observe(depth, camera, WIDEST, plane, settings.may_float, fills, floor, settings.shared)
     if seen.no_floor and settings.free_forms:
         if returns_about(seen) < SPECKLED:
             coarser = observe(depth, camera, WIDEST // 2, plane, settings.may_float, believed=floor)
@@ -111,7 +111,7 @@ def on_one_floor(
     if reduced_by(depth, wanted) != seen.factor:
         same = Support.over(seen.floor) if seen.rivals else plane  # the choice among floors is made once
         with contextlib.suppress(NoFloor):  # it is one in this resolution
-            closer = observe(depth, camera, wanted, same, settings.may_float, fills, floor)
+            closer = observe(depth, camera, wanted, same, settings.may_float, fills, floor, settings.shared)
             if not closer.no_floor:  # whose few pixels may not tell what noise it has
                 seen = closer._replace(rivals=seen.rivals, correlation=max(seen.correlation, closer.correlation))
     if correlation is not None:

@@ -1,6 +1,7 @@
 """A bare image under a sensor whose neighbouring pixels share noise: inference obeys what its prior file says."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from derender.results.fit import BACKGROUND
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.draws.sensor import ROUNDS, Sensor, under_shared_noise
-from derender.structures.infer import infer_structure
+from derender.structures.infer import infer_structure, lost
 from derender.structures.options import Options
 
 CAMERA = Camera(110.0, 110.0, 63.5, 47.5, 128, 96)
@@ -115,3 +116,26 @@ def test_a_far_wall_of_one_depth_is_explained_as_background():
     far = depth > 0.995 * 6.0
     assert far.mean() > 0.1 and (posterior.explanation.label[far] == BACKGROUND).all()
     assert posterior.best_part.weight > 0.5
+
+
+@pytest.mark.parametrize("off", [0.95, 1.05])
+def test_a_box_seen_with_a_slightly_wrong_focal_length_is_not_split_to_explain_that(off):
+    camera = Camera(140.0, 140.0, 79.5, 59.5, 160, 120)
+    observed = box_on_a_table(camera) + 0.001 * np.random.default_rng(1).standard_normal((120, 160))
+    posterior = infer_structure(observed, replace(camera, fx=off * camera.fx, fy=off * camera.fy), Options(seed=0))
+    assert posterior.explanation.names == ("box_1",)  # three were, at P .95
+    assert CORRELATED < posterior.meta["correlation"] < 0.5
+
+
+def test_what_a_second_search_leaves_counts_as_lost_but_not_along_its_edges():
+    label = np.full((20, 30), -1)
+    label[5:15, 5:15], label[2:8, 20:26] = 0, 1
+
+    def told(*objects):
+        return SimpleNamespace(explanation=SimpleNamespace(label=np.where(np.isin(label, objects), label, -2)))
+
+    assert lost(told(0, 1), told(0, 1)) == 0.0
+    assert lost(told(0, 1), told(0)) == pytest.approx(16 / 136)
+    narrower = told(0, 1)
+    narrower.explanation.label[:, [5, 14, 20, 25]] = -1
+    assert lost(told(0, 1), narrower) == 0.0

@@ -60,6 +60,7 @@ class Settings(NamedTuple):
     clean: float = 4.0
     floating_price: float = 30.0  # nats that a solid costs that nothing carries
     temper: float = 1.0  # how many pixels tell as much as one independent one; prices are multiplied by it already
+    shared: float = 0.0  # the least that noise of neighbouring pixels is taken to correlate
     uneven: float = 0.01  # metres by which a floor and its image may be off the plane
     faces: float = 0.0  # metres by which faces of real solids lie off where they appear to, in draws
     tries: int = THREADS

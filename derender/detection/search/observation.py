@@ -177,12 +177,12 @@ class Support(NamedTuple):
 
 def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
             plane: "np.ndarray | str | Support | None" = None, floating: bool = False,
-            fills: bool = False, believed: Floors | None = None) -> Observation:  # fmt: skip
+            fills: bool = False, believed: Floors | None = None, shared: float = 0.0) -> Observation:  # fmt: skip
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
     plane : the floor as it is given, see `read_floor`, or a Support; None: find it.
     floating : whether solids may hang in the air. fills : whether what is over a given floor stands there, all of it.
-    believed : Floors of a prior; None: those of the built-in one.
+    believed : Floors of a prior; None: those of the built-in one. shared : the least that neighbours' noise correlates.
     """
     believed = bare_image().loose.floor if believed is None else believed
     whole, whole_camera = depth, camera
@@ -197,16 +197,16 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
         near = near_at(seen_points[:, 2], pixel_noise(depth))
         _, at = near_plane(seen_points, near, plane.normal, plane.offset)
         candidate = Candidate(plane.normal, plane.offset, at, 0.0)
-        seen = over_candidate(depth, camera, factor, candidate, floating, others)
+        seen = over_candidate(depth, camera, factor, candidate, floating, others, shared)
         if seen is None:
             raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     elif plane is not None:
         floor = given_floor(depth, camera, plane)
         # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
         backdrop = find_backdrop(depth, camera, believed) if isinstance(plane, str) else None
-        seen = tell_apart(depth, camera, factor, floor, backdrop, floating, fills=fills)
+        seen = tell_apart(depth, camera, factor, floor, backdrop, floating, fills=fills, shared=shared)
     else:
-        seen = likeliest(depth, camera, factor, floating, believed)
+        seen = likeliest(depth, camera, factor, floating, believed, shared)
     drawn_whole = seen.correlation <= CORRELATED and factor == 2 and reduced_by(whole, MOST_DRAWN) == 1
     if drawn_whole and not correlation_of_whole(seen, whole, whole_camera) > ALIKE:
         whole, _, _ = reduce(whole, whole_camera, whole.shape[1])
@@ -217,7 +217,8 @@ def observe(depth: np.ndarray, camera: Camera, widest: int = 160,
     return seen._replace(single=single, whole=whole if factor > 1 else None, whole_camera=whole_camera)
 
 
-def likeliest(depth: np.ndarray, camera: Camera, factor: int, floating: bool, believed: Floors) -> Observation:
+def likeliest(depth: np.ndarray, camera: Camera, factor: int, floating: bool, believed: Floors,
+              shared: float = 0.0) -> Observation:  # fmt: skip
     """Return the Observation over the likeliest floor of a reduced image, the others as its rivals; or without a floor.
 
     Floors that come near the first are weighed by what they explain, see `odds_among`. Only what a sensor saw is
@@ -229,7 +230,7 @@ def likeliest(depth: np.ndarray, camera: Camera, factor: int, floating: bool, be
     except NoFloor:
         candidates = []
     for candidate in candidates:
-        seen = over_candidate(depth, camera, factor, candidate, floating)
+        seen = over_candidate(depth, camera, factor, candidate, floating, shared=shared)
         if seen is None and not found:
             break  # the likeliest comes first: where it is none there is none
         if seen is None or any((seen.floor.inliers & other.floor.inliers).sum() > SAME * seen.floor.inliers.sum()
@@ -270,7 +271,8 @@ def odds_among(seen: Observation, found: list[Observation], level: bool, believe
 
 
 def over_candidate(depth: np.ndarray, camera: Camera, factor: int, candidate: Candidate,
-                   floating: bool, others: np.ndarray | None = None) -> Observation | None:  # fmt: skip
+                   floating: bool, others: np.ndarray | None = None,
+                   shared: float = 0.0) -> Observation | None:  # fmt: skip
     """Return the Observation of a reduced image over a Candidate, see `on_its_floor`; None where no plane fits."""
     alone = depth if others is None else np.where(others, np.nan, depth)
     points = camera.points(alone)
@@ -279,7 +281,7 @@ def over_candidate(depth: np.ndarray, camera: Camera, factor: int, candidate: Ca
             floor = fitted(alone, points, candidate, share)
             if share < 1.0 and floor.inliers.mean() < SURE_SHARE:
                 return None  # a hill is flat too where it is tried closely enough
-            return on_its_floor(depth, camera, factor, floor, floating, others)
+            return on_its_floor(depth, camera, factor, floor, floating, others, shared)
     return None
 
 
@@ -290,16 +292,16 @@ def plane_of(floor: Floor) -> tuple[float, float, float, float]:
 
 
 def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor,
-                 floating: bool, others: np.ndarray | None = None) -> Observation:  # fmt: skip
+                 floating: bool, others: np.ndarray | None = None, shared: float = 0.0) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
 
     others : (h, w) bool, pixels that are explained otherwise, and background here; None: none.
 
     Raises NoFloor where what was taken as the floor is rougher than any sensor makes it.
     """
-    if not shared_by_neighbours(depth, floor, camera) > CORRELATED:
+    if not max(shared_by_neighbours(depth, floor, camera), shared) > CORRELATED:
         floor = under_its_noise(floor, depth, camera)
-    seen = tell_apart(depth, camera, factor, floor, None, floating, others)
+    seen = tell_apart(depth, camera, factor, floor, None, floating, others, shared=shared)
     if seen.correlation <= CORRELATED:
         return seen
     bend = bend_of(depth, floor, camera)
@@ -312,7 +314,7 @@ def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor,
         floor = floor_beside(floor, depth, camera, seen.mask)
     if floor.sigma > ROUGHEST * sensor_deviation(float(np.median(depth[floor.inliers]))):
         raise NoFloor("no plane is one that things could stand on")
-    straight = tell_apart(depth, camera, factor, floor, None, floating, others)
+    straight = tell_apart(depth, camera, factor, floor, None, floating, others, shared=shared)
     # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
     return straight._replace(bend=bend, correlation=seen.correlation)
 
@@ -337,15 +339,17 @@ def without_floor(depth: np.ndarray, camera: Camera, factor: int) -> Observation
 
 
 def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, backdrop: Any,
-               floating: bool = False, others: Any = None, fills: bool = False) -> Observation:  # fmt: skip
+               floating: bool = False, others: Any = None, fills: bool = False,
+               shared: float = 0.0) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
     backdrop : what find_backdrop says, None for nothing.
-    others : (h, w) bool, what another floor explains: background of this one; None: nothing. fills : see `observe`.
+    others : (h, w) bool, what another floor explains: background of this one; None: nothing. fills, shared : see
+        `observe`.
     """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
-    correlation = shared_by_neighbours(depth, even, camera)
+    correlation = max(shared_by_neighbours(depth, even, camera), shared)
     own = np.sqrt(1.0 - np.clip(correlation, 0.0, MOST_SHARED))  # noise that neighbours share hides no leak
     blur = estimate_blur(depth, own * sigma)
     if correlation > CORRELATED:
