@@ -20,7 +20,10 @@ SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a f
 # Frames a second, assumed where nobody says, and the standard deviation of its logarithm: nine depth cameras in ten run
 # at 11 to 80.
 FPS, FPS_SPREAD = 30.0, 0.6
-LEVEL_SPREAD = 0.02  # radians: where nobody gives gravity the floor is taken for level, and most nearly are
+# Standard errors of which way is down along the floor, radians: where nobody says so, for the floor is taken for level,
+# and most nearly are; and of an accelerometer, which is off by three times as much or more where it is mounted askew. A
+# floor that leans by less than that may be level.
+LEVEL_SPREAD, GRAVITY_SPREAD, NEARLY_LEVEL = 0.02, 0.01, 0.1
 MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
 FAR_APART, ONE_G = 5.0, 0.1  # seconds between frames, and m/s^2 off 1, that look like another unit
@@ -48,6 +51,15 @@ class Film(NamedTuple):
     gravity: np.ndarray | None  # (3,) m/s^2, camera axes of the first frame, or None: as the scene's floor lies
     fps_is_guess: bool  # True where the frame rate was assumed
     notes: tuple[str, ...] = ()  # what was found amiss and made up for
+
+
+def level_spread(floor: np.ndarray | None, gravity: np.ndarray, known: bool) -> float:
+    """Return the standard error of gravity's inclination to the floor (4, 4), radians; known : whether somebody said
+    which way is down. Where the floor agrees with that, both are right; where it nearly does, either may be."""
+    if not known or floor is None:
+        return GRAVITY_SPREAD if known else LEVEL_SPREAD
+    along = float(np.linalg.norm(np.cross(floor[:3, 2], gravity)) / max(float(np.linalg.norm(gravity)), 1e-9))
+    return along if along < NEARLY_LEVEL else GRAVITY_SPREAD
 
 
 def frame_files(sources: Sequence[str | Path]) -> list[Path]:

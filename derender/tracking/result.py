@@ -114,9 +114,9 @@ def track_json(track: Track) -> dict[str, Any]:
     """Return the track as track.json holds it: one pose and one parent a frame for each object, null where unknown.
 
     Beside the contract's keys stand `times`, `rate_spread` and `level_spread` (standard deviations of the frame rate's
-    logarithm and of the floor's inclination, 0 where they are known), `gravity`, `floor` and `views`, and of each
-    object `states`, `deviations` (three standard deviations of its centre, metres), `parent_probability` and `lost`:
-    the frames in which the tracker says that it does not know where the object is.
+    logarithm, 0 where it is known, and of gravity's inclination to the floor, radians), `gravity`, `floor` and `views`,
+    and of each object `states`, `deviations` (three standard deviations of its centre, metres), `parent_probability`
+    and `lost`: the frames in which the tracker says that it does not know where the object is.
     """
     parents, words = track.parents(), ["none", "floor", *track.names]
     objects = []

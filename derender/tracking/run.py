@@ -18,13 +18,13 @@ from derender.structures.options import Options
 from derender.tracking.film import (
     FPS,
     FPS_SPREAD,
-    LEVEL_SPREAD,
     Film,
     camera_of,
     check_size,
     checked_fps,
     dark_start,
     frame_files,
+    level_spread,
     read_film,
     read_timing,
     shows,
@@ -134,7 +134,7 @@ def track_to_folder(
         track = track_film(film, options, moving_camera, progress)
         frames = list(film.frames[: len(track.times)])
     track.rate_spread = FPS_SPREAD if film.fps_is_guess else 0.0
-    track.level_spread = LEVEL_SPREAD if film.gravity is None else 0.0
+    track.level_spread = level_spread(track.floor, track.gravity, film.gravity is not None)
     for note in track.notes:
         warn(note)
     events = events_of(track)

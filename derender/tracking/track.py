@@ -45,7 +45,7 @@ class Track:
     notes: list[str] = field(default_factory=list)  # what was assumed, as sentences
     cut: int | None = None  # the first frame that is not tracked, or None
     rate_spread: float = 0.0  # standard deviation of the frame rate's logarithm: 0 where somebody gave it
-    level_spread: float = 0.0  # standard deviation of the floor's inclination, radians: 0 where somebody gave gravity
+    level_spread: float = 0.0  # standard error of gravity's inclination to the floor, radians
 
     def parents(self) -> list[list[str | None]]:
         """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""
