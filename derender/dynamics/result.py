@@ -57,7 +57,7 @@ class Answer:
         self, found: Identified, rng: np.random.Generator, rate_spread: float = 0.0, level_spread: float = 0.0
     ) -> None:
         """rate_spread : standard deviation of the logarithm of the frame rate, where it was guessed. level_spread : of
-        the floor's inclination, radians, where it was taken for level."""
+        gravity's inclination to the floor, radians."""
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
         usual, spread = self.parameters.prior.log_scales()
@@ -69,13 +69,17 @@ class Answer:
                 coordinates[:, 0], np.hypot(ENGINE_FRICTION, off), rate_spread, self.parameters, rng
             )
         self.unexplained = bool((np.median(logarithms, axis=0) > usual + UNEXPLAINED * spread).any())
+        if found.told[1]:
+            coordinates[:, 1] += repeated_error(coordinates[:, 1], logarithms[:, 0]) * rng.standard_normal(
+                len(coordinates)
+            )
         stated = found.stated & (not self.unexplained)
         if rate_spread and found.struck:  # what flies or topples does so at one rate alone
             stated[1:] = False
         unstated = found.told & ~stated
         coordinates[:, unstated] = [self.parameters.sample_prior(rng)[unstated] for _ in coordinates]
         values = found.parameters.values(coordinates)
-        values[:, 1] = np.clip(values[:, 1] + ENGINE_RESTITUTION * rng.standard_normal(len(values)), 0.0, 1.0)
+        values[:, 1] = np.clip(values[:, 1], 0.0, 1.0)
         self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
         narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()
         self.told = [name for name, yes in zip(found.parameters.labels, narrow & stated, strict=True) if yes]
@@ -164,6 +168,16 @@ def widened(
     left = rate_spread * np.sqrt(1 - 4 * rate_spread**2 * share * told)
     rates = 2 * rate_spread**2 * share * (told * wide - says) + left * rng.standard_normal(len(wide))
     return wide, np.exp(rates)
+
+
+def repeated_error(restitution: np.ndarray, logarithms: np.ndarray) -> float:
+    """Return the standard error that draws (K,) of restitution lack; logarithms : (K,), of the error of impacts.
+
+    That is learnt as if each impact had another one. Two balls that rebound differently, or a film that runs backwards,
+    err by the same each time: many impacts tell restitution no better than one.
+    """
+    one = (1 + float(restitution.mean())) * float(np.exp(np.median(logarithms)))
+    return float(np.hypot(ENGINE_RESTITUTION, np.sqrt(max(one**2 - float(restitution.var()), 0.0))))
 
 
 # Bodies have entered each other by more than tracking is off, metres: the engine would throw them apart.

@@ -6,11 +6,19 @@ import numpy as np
 import pytest
 
 from derender.dynamics import inference
-from derender.dynamics.engine import ENGINE_FRICTION, FIRMER, SLIDING_RESTITUTION, Engine, Material, Scales
+from derender.dynamics.engine import (
+    ENGINE_FRICTION,
+    ENGINE_RESTITUTION,
+    FIRMER,
+    SLIDING_RESTITUTION,
+    Engine,
+    Material,
+    Scales,
+)  # fmt: skip
 from derender.dynamics.inference import ENOUGH, first_coordinates, identify, sample
 from derender.dynamics.motion import HELD_TURN, HELD_WITHIN, motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.result import NOT_ALONE, Answer, widened
+from derender.dynamics.result import NOT_ALONE, Answer, repeated_error, widened
 from derender.dynamics.shooting import FIRST_SPEED, FIRST_SPIN, Shooting
 from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
@@ -657,6 +665,17 @@ def test_what_no_materials_explain_tells_nothing(share, explained):
     answer = Answer(identify(film, np.random.default_rng(0), draws=40), np.random.default_rng(0))
     assert answer.unexplained != explained and (answer.told == []) != explained
     assert (NOT_ALONE in answer.lines()) != explained
+
+
+def test_what_an_impact_errs_by_many_impacts_do_not_average_out():
+    """Two balls, of .8 and .4, told a restitution of .58 to .69; a film played backwards .76 to .87 for .47."""
+    draws, few = 0.6 + 0.02 * np.random.default_rng(0).standard_normal(4000), np.log([0.01, 0.06, 0.1])
+    errors = [repeated_error(draws, np.full(4000, each)) for each in few]
+    np.testing.assert_allclose(np.hypot(draws.std(), errors)[1:], 1.6 * np.exp(few[1:]), rtol=0.02)
+    assert errors[0] == ENGINE_RESTITUTION  # less than the draws say themselves
+    assert (
+        repeated_error(np.linspace(0.4, 0.8, 99), few[1:2]) == ENGINE_RESTITUTION
+    )  # one impact, whose error is in them
 
 
 def test_draws_that_are_told_less_widen_to_the_priors():
