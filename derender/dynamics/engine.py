@@ -175,11 +175,13 @@ class Engine:
         struck = np.maximum(across - friction * np.clip(lifted, 0.0, most), 0.0)
         return np.stack([np.hypot(hit, struck), np.minimum(np.linalg.norm(change, axis=-1), most)], axis=-1)
 
-    def slides(self, before: np.ndarray, after: np.ndarray, friction: float) -> np.ndarray:
-        """Return (..., N) bool: whether friction gave a body nearly all that it can between (..., N, 13)."""
+    def slides(self, before: np.ndarray, after: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return (..., N) bool: whether friction gave a body nearly all that it can between (..., N, 13), and whether
+        the body touched the floor and friction gave it hardly anything."""
         _, lifted, across = self._pushed(before, after)
-        least = LEAST_SLIDE * float(np.linalg.norm(self.gravity)) * self.interval
-        return (across > SLIDES * friction * lifted) & (across > least)
+        weight = float(np.linalg.norm(self.gravity)) * self.interval
+        free = across <= LEAST_SLIDE * weight
+        return (across > SLIDES * friction * lifted) & ~free, free & (lifted > SLIDES * weight)
 
     def _pushed(self, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return by how much contacts changed velocities (..., N, 3), along the floor's normal and across it, m / s."""

@@ -196,10 +196,17 @@ class Shooting(Impacts):
 
         What sticks where it lands, or rolls, only says that it is great enough, and what it seems to tell is how
         corners rattle; so does what tumbles over its edge, which slips for a moment, and perhaps for another later.
+        What slows a ball may be carpet, unless it rolls freely afterwards.
         """
         friction = self.parameters.material(path.coordinates).friction
-        slides = self.engine.slides(path.states[:-1], path.arrived[1:], friction)
-        return len(slides) >= SLID and bool(sliding_window_view(slides, SLID, axis=0).all(axis=-1).any())
+        both = np.array(self.engine.slides(path.states[:-1], path.arrived[1:], friction))  # (2, T - 1, N)
+        if both.shape[1] < SLID:
+            return False
+        slides, free = np.all(sliding_window_view(both, SLID, axis=1), axis=-1)
+        moves = np.linalg.norm(path.states[1 : len(free) + 1, :, 7:10], axis=-1) > RESTS
+        rolls_later = np.logical_or.accumulate((free & moves)[::-1])[::-1]
+        balls = np.array([body.kind == "sphere" for body in self.bodies])
+        return bool((slides & (rolls_later | ~balls)).any())
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""

@@ -171,12 +171,35 @@ def test_only_what_slides_for_some_frames_tells_friction():
         path = shooting.first_path(np.array([np.log(0.27), 0.3, np.log(0.003)]))
         assert shooting.slides(path) == slides
     for shown, slides in (("110110011", False), ("10111", True)):  # slips now and then tell nothing, one slide does
-        shooting.engine.slides = lambda *_, shown=shown: np.array([[c == "1"] for c in shown])
+        shooting.engine.slides = lambda *_, shown=shown: np.array([[[c == "1"] for c in shown]] * 2)
         assert shooting.slides(path) == slides
 
 
+@pytest.mark.parametrize("after, tells", [("carpet", False), ("rolls", True)])
+def test_what_slows_a_ball_until_it_rests_may_be_carpet(after, tells):
+    """A ball that carpet slowed by .05 of gravity told a friction of .044 to .060."""
+    radius, friction, speed, spin = 0.04, 0.2, 0.7, -25.0  # it is thrown with backspin, slides, and rolls on
+    time = STEP * np.arange(FRAMES)
+    if after == "carpet":
+        speed, friction = 0.8, 0.05
+        slows = np.minimum(time, speed / (friction * GRAVITY))
+    else:
+        slows = np.minimum(time, (speed - spin * radius) / (3.5 * friction * GRAVITY))
+    x = speed * slows - friction * GRAVITY * slows**2 / 2 + (speed - friction * GRAVITY * slows) * (time - slows)
+    ball = Body("ball", "sphere", np.full(3, 2 * radius), np.eye(4))
+    film = motion(ball, np.column_stack([x, 0 * x, 0 * x + radius]), np.random.default_rng(3), metres=3e-4)
+    engine = Engine(film.matter, film.names, film.step)
+    shooting = Shooting(film, Parameters(film.names, engine.masses, read_dynamics_prior()), engine)
+    path = shooting.first_path(np.array([np.log(friction), 0.3, np.log(0.003)]))
+    path.states[0, 0, 10:] = [0.0, -20.0 if after == "carpet" else spin, 0.0]
+    path = shooting.rolled(path)
+    material = shooting.parameters.material(path.coordinates)
+    assert np.all(engine.slides(path.states[:3], path.arrived[1:4], material.friction)[0])
+    assert shooting.slides(path) == tells
+
+
 @pytest.mark.slow
-def test_films_that_fit_by_chance_tell_nothing_of_impacts(monkeypatch):
+def test_films_that_fit_by_chance_tell_nothingrepeated_error(monkeypatch):
     """Of tumbling stacks the density is a smooth one and chaos of some twenty nats; its best draws told restitution."""
     smooth, rng = inference.target_of, np.random.default_rng(2)
 
