@@ -32,7 +32,7 @@ from derender.tracking.film import (
 from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of, report_page, write_track
-from derender.tracking.thing import GONE, start_from
+from derender.tracking.thing import GONE, Start, start_from
 from derender.tracking.track import Recorder, Track
 
 POLL = 0.2  # seconds between looks at a folder that grows
@@ -112,9 +112,10 @@ def track_to_folder(
     told = 0
     if watch:
         frames, names, came = [film.frames[0]], list(film.names), list(film.names)
-        start = start_from(inferrer(options, film.camera)(film.frames[0], False), np.random.default_rng(options.seed))
+        infer = inferrer(options, film.camera)
+        start = begun(infer(film.frames[0], False), film.camera, film.frames[0], np.random.default_rng(options.seed))
         recorder = Recorder(film.frames[0], film.camera, start, film.gravity, step_of(film), moving_camera,
-                            lambda depth: inferrer(options, film.camera)(depth, True))  # fmt: skip
+                            lambda depth: infer(depth, True))  # fmt: skip
         for path, seen in coming:
             check_size(seen.depth, as_it_came, path)
             depth = seen.depth if enlargement is None else enlargement.reduced(seen.depth)
@@ -151,10 +152,24 @@ def track_film(film: Film, options: Options, moving_camera: bool = False, progre
     """Infer the first frame of a film, and follow what is there through the others."""
     infer, rng = inferrer(options, film.camera, progress), np.random.default_rng(options.seed)
     passes = Passes(
-        film.frames, film.camera, film.gravity, step_of(film), lambda depth: start_from(infer(depth, False), rng),
-        lambda depth: infer(depth, True), moving_camera, progress,
+        film.frames, film.camera, film.gravity, step_of(film),
+        lambda depth: begun(infer(depth, False), film.camera, depth, rng), lambda depth: infer(depth, True),
+        moving_camera, progress,
     )  # fmt: skip
     return passes.best().track(film.times, film.names)
+
+
+def begun(posterior: Any, camera: Camera, depth: np.ndarray, rng: np.random.Generator) -> Start:
+    """Return what a posterior says is in one frame (H, W), with the serious doubts that the image raises of it.
+
+    Which way is down is asked elsewhere: of a slope the camera's gravity is right.
+    """
+    from derender.report.contents import report_of
+
+    told = None if posterior.explanation is None else posterior.explanation.depth
+    seen = report_of(posterior.best_graph(), replace(camera, gravity=None), depth, told=told, shown=False,
+                     likelihood=posterior.meta.get("likelihood"))  # fmt: skip
+    return start_from(posterior, rng)._replace(doubts=tuple(each.words for each in seen.doubts if each.serious))
 
 
 def inferrer(options: Options, camera: Camera, progress: Any = None) -> Any:

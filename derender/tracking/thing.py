@@ -99,6 +99,7 @@ class Start(NamedTuple):
     growth: float
     blur: float
     temper: float  # pixels that tell as much as one independent one
+    doubts: tuple[str, ...] = ()  # what the frame says against it, as sentences
 
     def copy(self) -> "Start":
         """Return a copy whose things are its own."""

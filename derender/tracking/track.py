@@ -88,7 +88,7 @@ class Recorder:
         moving_camera: bool = False,
         infer: Any = None,
     ) -> None:
-        self.notes: list[str] = []
+        self.notes = [f"where the film begins, {doubt}" for doubt in start.doubts]
         self.gravity = UP * start.down if gravity is None else np.asarray(gravity, float)
         if start.floor is not None and self.gravity @ start.floor[:3, 2] > 0:
             self.gravity = -self.gravity
