@@ -209,7 +209,7 @@ def equilibrium(parts: tuple[np.ndarray, ...], load: np.ndarray) -> tuple[np.nda
 
 
 def least_push(
-    parts: tuple[np.ndarray, ...], load: np.ndarray, memory: tuple[np.ndarray, ...], across: np.ndarray
+    parts: tuple[np.ndarray, ...], load: np.ndarray, memory: tuple[np.ndarray, ...], across: np.ndarray, most: float
 ) -> tuple[float, np.ndarray]:
     """Return the least horizontal acceleration, in g, that the contacts cannot bear, and its direction (3,).
 
@@ -217,9 +217,9 @@ def least_push(
     that the set does not cross; the margin is the distance of the nearest such line from the origin, once WAYS
     accelerations around a circle of this radius are inside: it is at most a share 1 - cos(pi / WAYS) too great.
 
-    across : (2, 3) horizontal unit vectors.
+    across : (2, 3) horizontal unit vectors. most : g, beyond which accelerations are not looked at.
     """
-    radius, least = MOST_MARGIN, across[0]
+    radius, least = most, across[0]
     for turn in 2.0 * math.pi * np.arange(WAYS) / WAYS:
         way = math.cos(turn) * across[0] + math.sin(turn) * across[1]
         # The set is convex: directions that passed further out pass nearer in, so only this one is looked at again.

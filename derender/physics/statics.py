@@ -136,7 +136,7 @@ class Equilibrium:
         self.down = -matter.up
         self.load = np.zeros((len(self.moving), 6))
         self.load[:, :3] = -self.down
-        self.residual, self._memory = equilibrium(self.parts, self.load)
+        self.residual, _ = equilibrium(self.parts, self.load)
         self.entered = deep_overlaps(matter, self.contacts)
         self.stands = not self.entered and greatest(self.residual) <= BALANCED
 
@@ -156,8 +156,33 @@ class Equilibrium:
         if not self.moving or not np.any(self.down):
             return MOST_MARGIN, None
         axes = np.array(across(self.down))
-        least, way = least_push(self.parts, self.load, self._memory, axes)
+        least, way = MOST_MARGIN, axes[0]
+        for island in self._islands():
+            parts, load = self._parts_of(island), self.load[island]
+            found, to = least_push(parts, load, equilibrium(parts, load)[1], axes, least)
+            least, way = (found, to) if found < least else (least, way)
         return float(least), _triple(-way)
+
+    def _islands(self) -> list[np.ndarray]:
+        """Return the groups of moving bodies (their places in `weight`) that touch each other: they bear by themselves,
+        and all together cost as many times more as the square of their number."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        pairs = np.stack(self.parts[:2])
+        pairs = pairs[:, (pairs >= 0).all(axis=0)]
+        count = len(self.weight)
+        touch = coo_array((np.ones(pairs.shape[1]), pairs), (count, count))
+        number, group = connected_components(touch, directed=False)
+        return [np.flatnonzero(group == island) for island in range(number)]
+
+    def _parts_of(self, island: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return `parts` of some bodies alone."""
+        place = np.full(len(self.weight) + 1, -1)  # the last, which -1 means, does not move
+        place[island] = np.arange(len(island))
+        first, second = (place[part] for part in self.parts[:2])
+        mine = (first >= 0) | (second >= 0)
+        return first[mine], second[mine], *(part[mine] for part in self.parts[2:6]), self.weight[island]
 
     def forces(self) -> list[ContactForce]:
         """Return forces that hold the scene, one for each pair that touches; [] where nothing does.

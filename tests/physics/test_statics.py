@@ -28,6 +28,17 @@ def test_a_block_slides_at_its_friction_and_topples_at_its_slenderness():
     assert margin() == 4.0 and margin(cube("a", 0, 0.3)) == 0.0
 
 
+def test_what_does_not_touch_has_a_margin_of_its_own():
+    """All together, 100 separate cubes took 85 s."""
+    tall = Body("tall", "box", np.array([0.05, 0.08, 0.2]), translation(-1, 0, 0.1))
+    tower = [cube("low", -2, 0.05), cube("high", -1.99, 0.15)]
+    many = [cube(f"c{k}", 0.2 * k, 0.05) for k in range(60)]
+    assert margin(*many[:30], tall, *tower, *many[30:]) == pytest.approx(margin(tall))
+    assert margin(*many, *tower) == pytest.approx(margin(*tower)) and margin(*tower) > margin(tall)
+    found = Equilibrium(matter(FLOOR, *many, *tower))
+    assert sorted(map(len, found._islands())) == [1] * 60 + [2]
+
+
 @pytest.mark.parametrize(("slope", "friction"), [(0.3, 0.4), (0.4, 0.4), (0.35, 0.4), (0.39, 0.4)])
 def test_friction_cones_are_round(slope, friction):
     """A block on a slope of tangent t, in any direction, stays exactly where t is below its friction."""
