@@ -236,6 +236,8 @@ def _may_yet_rest(trajectory: Trajectory) -> bool:
 
 # Bodies that are so many times longer than wide are needles: their verdicts hang on the last tenth of a millimetre.
 NEEDLE = 200.0
+# What a smaller horizontal acceleration (g) tips over or sets sliding stands by calculation alone: a cube on its edge.
+LEAST_MARGIN = 1e-3
 
 
 def assumptions(outcome: Outcome) -> list[str]:
@@ -253,6 +255,8 @@ def assumptions(outcome: Outcome) -> list[str]:
     for body in matter.bodies:
         if body.kind != "plane" and np.max(body.size) > NEEDLE * np.min(body.size):
             said.append(f"{body.name} is a needle or a leaf: what it does hangs on less than can be measured")
+    if outcome.stable and masses and Equilibrium(matter).margin()[0] < LEAST_MARGIN:
+        said.append(f"it is balanced so finely that less than {LEAST_MARGIN:g} g ends it: nothing real stands so")
     if masses and not any(not body.moves for body in matter.bodies):
         said.append("there is no floor and nothing is fixed: everything falls")
     if not np.any(matter.gravity):

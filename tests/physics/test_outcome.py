@@ -23,7 +23,7 @@ from derender.physics.outcome import (
 )
 from derender.physics.simulate import judge, simulate
 from derender.physics.verdict import settled_graph
-from derender.scene.pose import translation
+from derender.scene.pose import rotation_x, translation
 
 TEXT = """
 derender: 1
@@ -103,6 +103,12 @@ def test_a_feather_bears_a_box_and_what_is_assumed_is_said():
     assert "1e-09 kg" in assumptions(outcome)[0]
     assert "no floor" in assumptions(simulate_scene(matter(cube("a", 0, 0.05))))[0]
     assert assumptions(simulate_scene(matter(FLOOR, cube("a", 0, 0.05)))) == []
+
+
+def test_a_cube_on_its_edge_stands_by_calculation_alone():
+    on_edge = Body("a", "box", np.full(3, 0.1), translation(0, 0, 0.05 * np.sqrt(2)) @ rotation_x(np.pi / 4))
+    outcome = simulate_scene(matter(FLOOR, on_edge))
+    assert outcome.stable and "less than 0.001 g ends it" in assumptions(outcome)[0]
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "statics", "both"])
