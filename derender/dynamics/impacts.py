@@ -54,7 +54,7 @@ class Impacts:
     def __init__(self, motion: Motion) -> None:
         self.motion, self.gravity = motion, np.asarray(motion.matter.gravity, float)
         self.count, self.frames = len(motion.names), len(motion.times)
-        self.seen, self.held = motion.fresh, motion.held.copy()
+        self.seen, self.held = motion.fresh.copy(), motion.held.copy()
         self.rested = np.cumprod(self.held[1:], axis=0).sum(axis=0)
         self.held[0] = self.rested > 0
         self.bodies = [motion.body(name) for name in motion.names]
@@ -66,6 +66,9 @@ class Impacts:
         self.floors = [body.pose for body in motion.matter.bodies if body.kind == "plane"]
         self.is_cut = self._cuts()
         self.blows = self._blows()
+        # One pose alone after an impact tells no speed, and no film without it should have to explain it.
+        self.seen[-1] &= ~self.is_cut[-1] | self.is_cut[-2]
+        self.is_cut[-1] = False
         self.partner = np.arange(self.count)
         for _, k, j, _ in self.blows:
             if self._gap(0, k, j) > STRUCK_WITHIN:
@@ -100,7 +103,6 @@ class Impacts:
             if begun > 1:
                 result[begun - 1 : begun + 3] = False
                 result[begun] = True
-        result[-2:] = False
         result[0] = True
         return result
 
@@ -112,7 +114,8 @@ class Impacts:
         """
         states, found = self.filled, list[Blow]()
         gone, goes_on = (np.linalg.norm(states[..., :3] - states[end, :, :3], axis=-1) > STRUCK for end in (0, -1))
-        for frame in range(1, self.frames - 2):
+        for frame in range(1, self.frames):
+            last = frame == self.frames - 1
             met: set[int] = set()
             for k, j in combinations(range(self.count), 2):
                 if met & {k, j} or not goes_on[frame - 1, [k, j]].any():
@@ -121,8 +124,10 @@ class Impacts:
                 fast = float(np.linalg.norm(apart[-1] - apart[0])) / (max(len(apart) - 1, 1) * self.motion.step)
                 gap = min(self._gap(frame - 1, k, j), self._gap(frame, k, j))
                 struck = self.is_cut[frame, [k, j]].all() and gap < STRUCK_WITHIN + fast * self.motion.step
-                lie = gap < STRUCK_WITHIN and all(self.plane_at(frame, body) is not None for body in (k, j))
-                if struck or lie:
+                lie = gap < STRUCK_WITHIN and all(self.plane_at(frame - last, body) is not None for body in (k, j))
+                if last:
+                    self.is_cut[frame, [k, j]] |= lie
+                elif struck or lie:
                     found.append(Blow(frame, k, j, not gone[frame - 1, [k, j]].all()))
                     self.is_cut[frame, [k, j]] = True
                     met |= {k, j}
