@@ -1,6 +1,7 @@
 """What a track tells of materials and velocities: `derender infer FRAMES --track --dynamics`."""
 
 import json
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,9 @@ APART = 1 / 30
 # A thing is pushed by a hand where it rested for so many frames on a level floor (cosine to gravity) and then leaves
 # its place by so many metres, while nothing that moves by itself is within as many of it beyond what both are wide.
 RESTED_FRAMES, LEVEL_FLOOR, BEGUN, REACH = 2, 0.998, 0.004, 0.02
+# Two things that are told to have entered each other by so many metres are not both where they are told: three times
+# what tracking of half hidden things is off by.
+ENTERED = 0.01
 # Films of what comes next, and for how long they go on at most, seconds: a slide at 3 m/s ends sooner.
 FILMS_AHEAD, SECONDS_AHEAD = 60, 2.0
 
@@ -34,8 +38,8 @@ FILMS_AHEAD, SECONDS_AHEAD = 60, 2.0
 def motion_of_track(track: Track) -> Motion:
     """Return the motion that a track shows, in the axes of the first camera.
 
-    Poses of frames in which a thing is hidden, lost or gone are left out, and things that a hand holds: it is no part
-    of the model.
+    Poses of frames in which a thing is hidden, lost or gone, or cannot be, are left out, and things that a hand holds:
+    it is no part of the model.
     """
     back = inverse(track.views)  # each camera to the first
     everywhere = back[:, None] @ track.poses
@@ -58,6 +62,7 @@ def motion_of_track(track: Track) -> Motion:
     poses = everywhere[:, chosen]
     away = np.array([[row[k] in (HIDDEN, LOST, GONE) for k in chosen] for row in track.states])
     poses[away.reshape(len(track.times), -1)] = np.nan
+    poses[_entered(bodies[-len(names) :], poses, track.pixels[:, chosen, 1])] = np.nan
     # Centres turn with the camera; a turn about the camera's axes becomes one about the body's own.
     turns = np.zeros((len(track.times), len(chosen), 6, 6))
     turns[..., :3, :3] = back[:, None, :3, :3]
@@ -70,6 +75,21 @@ def motion_of_track(track: Track) -> Motion:
         shared = turns @ follow @ errors_of(track.view_factor)[:, None]
     matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
     return motion_of(matter, tuple(names), track.times, poses, covariances, shared)
+
+
+def _entered(bodies: list[Body], poses: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return (T, N) bool, where something else has entered a body that shows less of itself, since they were apart.
+
+    What is half hidden and struck seems to rest where it was. shown : (T, N), pixels.
+    """
+    found = np.zeros(shown.shape, bool)
+    for k, j in combinations(range(len(bodies)), 2):
+        both = np.flatnonzero(np.isfinite(poses[:, [k, j], 0, 0]).all(axis=1))
+        gaps = [bodies[k]._replace(pose=poses[t, k]).gap(bodies[j]._replace(pose=poses[t, j])) for t in both]
+        for t, gap in zip(both, gaps, strict=True):
+            if gap < -ENTERED and gaps[0] > 0:
+                found[t, k if shown[t, k] < shown[t, j] else j] = True
+    return found
 
 
 def _held(track: Track, centres: np.ndarray) -> set[str]:

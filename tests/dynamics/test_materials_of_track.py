@@ -137,6 +137,24 @@ def test_what_rested_and_is_pushed_by_nothing_in_sight_is_left_out():
     assert motion_of_track(track(sliding())).names == ("box_1",)
 
 
+def test_what_another_thing_has_entered_is_not_where_it_is_told():
+    """A half hidden box that was struck was held where it had rested, 30 mm off, and told a friction of .20 to .35."""
+    resting, moving = track(np.tile([0.15, 0, 0.025], (FRAMES, 1))), track(sliding())
+    both = {
+        name: np.concatenate([getattr(resting, name), getattr(moving, name)], axis=1)
+        for name in ("sizes", "poses", "covariances", "pixels")
+    }
+    both["pixels"][:, :, 1] = [40, 300]
+    chances = np.zeros((FRAMES, 2, 4))
+    chances[..., 1] = 1.0
+    film = replace(moving, names=["half_hidden", "box_1"], types=["box"] * 2, kinds=np.array([1, 1]),
+                   states=[["still", "moving"]] * FRAMES, parent_probability=chances, **both)  # fmt: skip
+    seen = motion_of_track(film)
+    inside = seen.poses[:, -1, 0, 3] > 0.15 - 0.08 + materials.ENTERED
+    assert inside[-1] and not inside[0] and np.isfinite(seen.poses[:, -1]).all()
+    np.testing.assert_array_equal(np.isfinite(seen.poses[:, 0]).all(axis=(1, 2)), ~inside)
+
+
 def test_what_rested_and_is_struck_by_what_moves_is_kept():
     mover = np.column_stack([0.9 * STEP * np.minimum(np.arange(FRAMES), 5), np.zeros(FRAMES), np.full(FRAMES, 0.025)])
     struck = mover.copy()
