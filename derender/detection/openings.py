@@ -37,7 +37,7 @@ def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[lis
     count = len(state) + len(masks)
     pixels = np.bincount(piece[piece >= 0], minlength=count)
     tops = np.full(count, -np.inf)
-    for k in np.flatnonzero(pixels >= FEWEST):
+    for k in np.flatnonzero(pixels >= FEWEST).tolist():
         tops[k] = ends_of(seen.points[piece == k][:, 2], ENDS)[1]
     if not np.isfinite(tops).any():
         return None
