@@ -106,10 +106,10 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
 def open_boxes(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[State, list[np.ndarray]]:
     """Return (State, [mask]) in which walls around an opening are one free-form thing, see `openings.py`."""
     while (found := walls(seen, state, masks)) is not None:
-        solids, things = found
-        pieces = [masks[k] for k in things]
+        solids, things, edges = found
+        pieces = [edges, *(masks[k] for k in things)]
         masks = [mask for k, mask in enumerate(masks) if k not in things]
-        state, whole = joined(seen, state, solids, np.any(pieces, axis=0) if pieces else None)
+        state, whole = joined(seen, state, solids, np.any(pieces, axis=0))
         masks += whole
     return state, masks
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from derender.detection.outline import ends_of
 from derender.detection.patches import components
+from derender.detection.search.bodies import label_bodies
 from derender.detection.search.observation import Observation
 from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.state import State, held_out
@@ -25,8 +26,9 @@ OPEN, AROUND = 0.7, 0.8
 DIRECTIONS = 36
 
 
-def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[list[int], list[int]] | None:
-    """Return (indices of solids, of masks) that are the walls of one open box, at least two in all; else None.
+def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[list[int], list[int], np.ndarray] | None:
+    """Return (indices of solids, of masks) that are the walls of one open box, at least two in all, and the pixels
+    (H, W) bool of its edges that nothing explains, as of walls seen from above; else None.
 
     masks : [(H, W) bool] of free-form things.
     """
@@ -46,8 +48,14 @@ def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[lis
     for group in components(level & touching(seen, piece, count)):
         solids, things = [k for k in group if k < len(state)], [k - len(state) for k in group if k >= len(state)]
         bears = any(parent in solids and k not in solids for k, parent in enumerate(state.parents))
-        if len(group) > 1 and not bears and is_open(seen, np.isin(piece, group), float(np.median(tops[group])), even):
-            return solids, things
+        if len(group) == 1 or bears:
+            continue
+        mask, top = np.isin(piece, group), float(np.median(tops[group]))
+        edges = seen.mask & (piece < 0) & (np.abs(seen.points[..., 2] - top) < even)
+        body, _ = label_bodies(seen.points, mask | edges, seen.surface.jump)
+        edges &= np.isin(body, body[mask])
+        if is_open(seen, mask | edges, top, even):
+            return solids, things, edges
     return None
 
 
