@@ -60,8 +60,8 @@ def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[lis
 
 
 def touching(seen: Observation, piece: np.ndarray, count: int) -> np.ndarray:
-    """Return (N, N) bool: which pieces have pixels NEXT to each other without a jump between them that goes past their
-    upper edges. piece : (H, W) int, -1 for none. count : of all."""
+    """Return (N, N) bool: which pieces have pixels NEXT to each other with no jump in depth between, in which what both
+    show in a corner may lie twice as far apart as on one surface. piece : (H, W) int, -1: none. count : of all."""
     meet = np.zeros((count, count), bool)
     for axis in (0, 1):
         other, apart = np.roll(piece, NEXT, axis), np.roll(seen.points, NEXT, axis) - seen.points

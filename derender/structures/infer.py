@@ -14,6 +14,7 @@ from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Observation, Support, of_whole_image, whole_image
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn
+from derender.errors import DerenderError
 from derender.results.fit import FLOOR
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import misleads
@@ -74,7 +75,15 @@ def infer_structure(
     if said or found.meta["correlation"] > CORRELATED or not (found.meta["spots"] or disagrees(found.best_part)):
         return found
     say(0.0, "searching again, as for what a sensor shows")
-    other = found_in(rng, case._replace(settings=case.settings._replace(shared=AS_OF_A_SENSOR)), say)
+    try:
+        other = found_in(rng, case._replace(settings=case.settings._replace(shared=AS_OF_A_SENSOR)), say)
+        stopped = other.meta["interrupted"]
+    except KeyboardInterrupt:
+        stopped = True
+    except DerenderError:  # so seen there is no floor, or nothing else to tell
+        return found
+    if stopped:  # the first answer is whole
+        return replace(found, meta={**found.meta, "interrupted": True})
     fewer = len(other.best_graph().solid_names) <= FEWER * len(found.best_graph().solid_names)
     return other if (found.meta["spots"] or fewer) and lost(found, other) < MOST_LOST else found
 

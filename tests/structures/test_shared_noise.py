@@ -12,13 +12,14 @@ from derender.camera.intrinsics import Camera
 from derender.detection.search.observation import CORRELATED, observe
 from derender.detection.solids.beliefs import bare_image, sensor_beliefs
 from derender.document import LikelihoodPrior, read_document, read_prior_document
+from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.results.fit import BACKGROUND
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.draws.sensor import ROUNDS, Sensor, under_shared_noise
-from derender.structures.infer import infer_structure, lost
+from derender.structures.infer import found_in, infer_structure, lost
 from derender.structures.options import Options
 
 CAMERA = Camera(110.0, 110.0, 63.5, 47.5, 128, 96)
@@ -125,6 +126,23 @@ def test_a_box_seen_with_a_slightly_wrong_focal_length_is_not_split_to_explain_t
     posterior = infer_structure(observed, replace(camera, fx=off * camera.fx, fy=off * camera.fy), Options(seed=0))
     assert posterior.explanation.names == ("box_1",)  # three were, at P .95
     assert CORRELATED < posterior.meta["correlation"] < 0.5
+
+
+@pytest.mark.parametrize("end, interrupted", [(KeyboardInterrupt(), True), (DerenderError("no floor"), False)])
+def test_a_second_search_that_does_not_end_leaves_the_first_answer(monkeypatch, end, interrupted):
+    """Ctrl-C in the second search lost what the first had found."""
+    camera, answers = Camera(140.0, 140.0, 79.5, 59.5, 160, 120), []
+
+    def once(*arguments):
+        if answers:
+            raise end
+        answers.append(found_in(*arguments))
+        return answers[0]
+
+    monkeypatch.setattr("derender.structures.infer.found_in", once)
+    observed = box_on_a_table(camera) + 0.001 * np.random.default_rng(1).standard_normal((120, 160))
+    posterior = infer_structure(observed, replace(camera, fx=147.0, fy=147.0), Options(seed=0))
+    assert posterior.parts == answers[0].parts and posterior.meta["interrupted"] is interrupted
 
 
 def test_what_a_second_search_leaves_counts_as_lost_but_not_along_its_edges():
