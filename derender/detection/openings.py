@@ -23,16 +23,20 @@ NEXT = 3  # pixels between pieces that meet
 # Of the lines of sight that cross the upper edges' plane between them, how many go on to what is lower; of the
 # directions from its middle, in how many there is an edge.
 OPEN, AROUND = 0.7, 0.8
+# Share of a piece's pixels that are seen through an opening and no higher than the lowest there, from which on it is
+# its bottom; standard deviations of its noise by which a bottom that no piece shows is over the floor.
+LIES, LOW = 0.5, 2.0
 DIRECTIONS = 36
 
 
 def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[list[int], list[int], np.ndarray] | None:
-    """Return (indices of solids, of masks) that are the walls of one open box, at least two in all, and the pixels
-    (H, W) bool of its edges that nothing explains, as of walls seen from above; else None.
+    """Return (indices of solids, of masks) that are the walls of one open box and its bottom, and the pixels (H, W)
+    bool of its edges and its bottom that nothing explains, as of walls seen from above; else None.
 
     masks : [(H, W) bool] of free-form things.
     """
     _, label, misfit, _ = held_out(seen.image, state, -1)
+    height = seen.points[..., 2]
     piece = np.where((seen.image.weight > 0) & (misfit < LIMIT), label, -1)
     for k, mask in enumerate(masks, start=len(state)):
         piece[mask] = k
@@ -40,22 +44,31 @@ def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[lis
     pixels = np.bincount(piece[piece >= 0], minlength=count)
     tops = np.full(count, -np.inf)
     for k in np.flatnonzero(pixels >= FEWEST).tolist():
-        tops[k] = ends_of(seen.points[piece == k][:, 2], ENDS)[1]
+        tops[k] = ends_of(height[piece == k], ENDS)[1]
     if not np.isfinite(tops).any():
         return None
     even = np.maximum(EVEN * seen.scale, PIXELS * float(np.median(seen.footprint[piece >= 0])))
     level = np.abs(tops[:, None] - np.where(np.isfinite(tops), tops, np.inf)) < even
     for group in components(level & touching(seen, piece, count)):
-        solids, things = [k for k in group if k < len(state)], [k - len(state) for k in group if k >= len(state)]
-        bears = any(parent in solids and k not in solids for k, parent in enumerate(state.parents))
-        if len(group) == 1 or bears:
+        bears = any(parent in group and k not in group for k, parent in enumerate(state.parents))
+        if bears or not np.isfinite(tops[group]).all():
             continue
         mask, top = np.isin(piece, group), float(np.median(tops[group]))
-        edges = seen.mask & (piece < 0) & (np.abs(seen.points[..., 2] - top) < even)
+        edges = seen.mask & (piece < 0) & (np.abs(height - top) < even)
         body, _ = label_bodies(seen.points, mask | edges, seen.surface.jump)
         edges &= np.isin(body, body[mask])
-        if is_open(seen, mask | edges, top, even):
-            return solids, things, edges
+        within = opening(seen, mask | edges, top, even)
+        if within is None:
+            continue
+        bottom = within & (height < ends_of(seen.points[within], ENDS)[0, 2] + even)
+        lies = np.bincount(piece[bottom & (piece >= 0)], minlength=count) > LIES * pixels
+        parts = np.union1d(group, np.flatnonzero(lies))
+        bottom &= piece < 0
+        if bottom.any() and np.median(height[bottom]) < LOW * np.median(seen.sigma[bottom]):
+            bottom[:] = False  # it is the floor
+        if len(parts) > 1 or bottom.any():
+            solids, things = parts[parts < len(state)], parts[parts >= len(state)] - len(state)
+            return solids.tolist(), things.tolist(), edges | bottom
     return None
 
 
@@ -71,20 +84,22 @@ def touching(seen: Observation, piece: np.ndarray, count: int) -> np.ndarray:
     return meet
 
 
-def is_open(seen: Observation, mask: np.ndarray, top: float, even: float) -> bool:
-    """Return whether what a mask (H, W) shows goes around an opening at a height, to within `even` metres."""
+def opening(seen: Observation, mask: np.ndarray, top: float, even: float) -> np.ndarray | None:
+    """Return (H, W) bool: what is seen through the opening that what a mask (H, W) shows goes around at a height, to
+    within `even` metres; None where it has none."""
     origin, height = seen.image.origin, seen.points[..., 2]
     edge = seen.points[mask & (height > top - even)][:, :2]
     corners = convex_outline(np.ascontiguousarray(edge))
     if corners is None or origin[2] <= top:
-        return False
+        return None
     sides = outline_planes(corners)
-    share = (origin[2] - top) / np.maximum(origin[2] - height, 1e-9)  # of the way to what is seen, to the plane
-    crossing = origin[:2] + share[..., None] * (seen.points[..., :2] - origin[:2])
-    within = (crossing @ sides[:, :2].T + sides[:, 2]).max(axis=-1) < -even
-    within &= (seen.image.weight > 0) & (height < origin[2])
+    within = (seen.image.weight > 0) & (height < origin[2])
+    share = (origin[2] - top) / np.maximum(origin[2] - height[within], 1e-9)  # of the way to what is seen, to the plane
+    crossing = origin[:2] + share[:, None] * (seen.points[within][:, :2] - origin[:2])
+    inside = (crossing @ sides[:, :2].T + sides[:, 2]).max(axis=-1) < -even
+    within[within], crossing = inside, crossing[inside]
     if within.sum() < FEWEST or np.mean(height[within] < top - even) < OPEN:
-        return False
-    way = np.arctan2(*(edge - crossing[within].mean(axis=0)).T[::-1])
+        return None
+    way = np.arctan2(*(edge - crossing.mean(axis=0)).T[::-1])
     seen_in = np.unique(np.floor((way / (2.0 * np.pi) + 0.5) * DIRECTIONS).astype(int) % DIRECTIONS)
-    return len(seen_in) >= AROUND * DIRECTIONS
+    return within if len(seen_in) >= AROUND * DIRECTIONS else None

@@ -59,6 +59,13 @@ def test_the_walls_of_a_tray_are_one_object():
     assert np.sort(tray.size) == pytest.approx([0.06, 0.2, 0.3], abs=0.01)
 
 
+@pytest.mark.parametrize("height", [0.04, 0.06])
+def test_the_bottom_of_a_tray_is_no_board_that_lies_in_it(height):
+    boxes = [*around(0.3, 0.2, height, 0.006), (0.0, 0.0, (0.288, 0.188, 0.015))]
+    found = derender.infer(seen(boxes), seed=0, quick=True)
+    assert [each.type for each in found.objects] == ["thing"]
+
+
 def test_walls_of_which_the_edges_alone_are_seen_are_walls():
     """Of a tray that two walls explain the others show nothing but their upper edges, which go around with them."""
     boxes, image = around(0.3, 0.22, 0.06, 0.006), seen(around(0.3, 0.22, 0.06, 0.006))
