@@ -366,3 +366,29 @@ def find_patches(
     plane_normal, plane_offset, count, centre, residual = fit_regions(points, label, regions, origin)
     return Patches(label, plane_normal, plane_offset, count, centre, residual,
                    touching_pixels(points, label, regions, jump))  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def straightest(depth, mask):
+    """Return (H, W) the square of the metres by which each pixel of a mask (H, W) lies off its two neighbours along a
+    row, a column or a diagonal, where that is least; inf where none has both in the mask, 0 outside it.
+
+    Along a plane inverse depth is affine, and along an edge any surface is nearly straight. Independent noise leaves
+    1.5 variances along one line.
+    """
+    height, width = mask.shape
+    found = np.zeros((height, width))
+    for j in range(height):
+        for i in range(width):
+            if not mask[j, i]:
+                continue
+            found[j, i] = np.inf
+            for way in range(4):
+                down, across = (0, 1, 1, 1)[way], (1, 0, 1, -1)[way]
+                if min(j - down, i - abs(across)) < 0 or j + down >= height or i + abs(across) >= width:
+                    continue
+                if not (mask[j - down, i - across] and mask[j + down, i + across]):
+                    continue
+                between = 2.0 / (1.0 / depth[j - down, i - across] + 1.0 / depth[j + down, i + across])
+                found[j, i] = min(found[j, i], (depth[j, i] - between) ** 2)
+    return found

@@ -17,7 +17,7 @@ from derender.compilation.cache import njit
 from derender.detection.background import cut_short, frame_seen, is_background, quarter_turns
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, sloping_foot, vertical_axis
-from derender.detection.patches import components, separation, turned
+from derender.detection.patches import components, separation, straightest, turned
 from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings, total_energy
 from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation
@@ -36,6 +36,8 @@ from derender.scene.solids import BOX
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
 NOISE, SOME = 0.5, 2  # misfit that noise leaves of a pixel; reach of a window over which it leaves about that
+FEW_ABOUT = 6  # pixels of a window that go on in depth, that one with them, of which none tells what noise is there
+STRAIGHTEST = 3.6 / 1.5  # by which what noise leaves along the straightest of four lines through a pixel is less
 LEAST_WEIGHT = 1.0  # of a pixel, per square metre: noise of 0.7 m
 FEWEST = 12  # pixels of a thing
 INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
@@ -105,7 +107,7 @@ def take_things(
     that solids leave them alone.
 
     seen : Observation; its image is changed. state : State of the solids that the search found.
-    reluctance : nats by which a free-form thing must be better than the solids that it takes the place of.
+    reluctance : nats by which a free-form thing must be better than the solids that it takes the place of, or nothing.
     """
     image = seen.image
     as_seen = np.abs(image.floor - image.depth) < AS_SEEN
@@ -118,7 +120,7 @@ def take_things(
     for members in groups_of(image, state, body, count):
         keep = best_subset(clear, state, keep, members, cost, settings, reluctance)
     kept = subset(state, keep)
-    things, _ = pieces_of(without_edges(seen, kept), kept, cost, settings)
+    things, _ = pieces_of(without_edges(seen, kept), kept, cost, settings, settings.temper * reluctance)
     for mask in things:
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return kept, things
@@ -141,8 +143,9 @@ def at_edges(image: Image, state: State) -> np.ndarray:
     """
     depth, label, misfit, _ = held_out(image, state, -1)
     depth, noise = np.minimum(depth, WALL), noise_in(image)
-    near, far = least(depth, 1), greatest(depth, 1)
-    edge = (least(label, 1) < greatest(label, 1)) & (far - near > noise)
+    reach = max(image.taps.size - 1, 1)
+    near, far = least(depth, reach), greatest(depth, reach)
+    edge = (least(label, reach) < greatest(label, reach)) & (far - near > noise)
     return edge & (misfit > BAD) & (near - noise < image.depth) & (image.depth < far + noise)
 
 
@@ -210,7 +213,9 @@ def cost_of(seen: Observation, believed: Things) -> Cost:
     smooth, many = means_about(depth, mask, step)
     misfit = np.minimum((depth - smooth) ** 2 * weight, LIMIT)
     if alone:
-        misfit = np.where(many > 1.0, np.minimum(misfit * many / np.maximum(many - 1.0, 1.0), LIMIT), LIMIT)
+        misfit *= many / np.maximum(many - 1.0, 1.0)
+        misfit = np.minimum(misfit, STRAIGHTEST * straightest(depth, mask) * weight)
+        misfit = np.where(many > FEW_ABOUT, np.minimum(misfit, LIMIT), LIMIT)
         about, pixels = (total(values, SOME) for values in (np.where(mask, misfit, 0.0), mask.astype(float)))
         misfit = np.maximum(about / np.maximum(pixels, 1.0), NOISE)
     return Cost(area, crease, misfit, normal, believed)
@@ -282,8 +287,11 @@ def best_subset(seen: Observation, state: State, keep: set[int], members: list[i
     return best
 
 
-def pieces_of(seen: Observation, state: State, cost: Cost, settings: Settings) -> tuple[list[np.ndarray], float]:
-    """Return ([mask] of free-form things that pay beside the solids of a state, the tempered nats that they gain)."""
+def pieces_of(
+    seen: Observation, state: State, cost: Cost, settings: Settings, least: float = 0.0
+) -> tuple[list[np.ndarray], float]:
+    """Return ([mask] of free-form things that pay beside the solids of a state, the tempered nats that they gain).
+    least : of these, each."""
     image = seen.image
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
@@ -306,7 +314,7 @@ def pieces_of(seen: Observation, state: State, cost: Cost, settings: Settings) -
     within /= [cost.believed.larger(area[owner == k].sum()) for k in range(count)]
     gain = won - price - settings.temper * numbers - nats * within
     found, total = [], 0.0
-    for k in np.flatnonzero((pixels >= FEWEST) & (inner >= INNER * pixels) & (gain > 0.0)):
+    for k in np.flatnonzero((pixels >= FEWEST) & (inner >= INNER * pixels) & (gain > least)):
         mask = thing == k
         points = seen.points[mask]
         low, high = ends_of(points, ENDS)

@@ -35,3 +35,13 @@ def bowl(radius=0.07, height=0.06):
     line = [(0, 0), (0.5 * radius, 0), (radius, height), (inner, height), (0.45 * radius, 0.006), (0, 0.006)]
     mesh = trimesh.creation.revolve(np.array(line), sections=48)
     return mesh.vertices - [0, 0, 0.5 * height], np.ascontiguousarray(mesh.faces, np.int32)
+
+
+def blob(seed):
+    """Return vertices and triangles of a ball with six lobes, which meet in creases."""
+    ball, rng = trimesh.creation.icosphere(4), np.random.default_rng(seed)
+    ways = rng.normal(size=(6, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    points = ball.vertices * (1.0 + 0.6 * np.exp(-8.0 * (1.0 - ball.vertices @ ways.T)).sum(axis=1))[:, None]
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return points - middle, np.ascontiguousarray(ball.faces, np.int32)

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
-from table_scenes import CAMERA, TABLE, bowl, seen_on_the_table
+from table_scenes import CAMERA, TABLE, blob, bowl, seen_on_the_table
 
+import derender
 from derender.camera.intrinsics import Camera
 from derender.camera.windows import greatest, least
 from derender.detection import estimate
@@ -27,7 +28,7 @@ from derender.detection.estimate import point_estimate
 from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import leftovers, swaps
 from derender.detection.outline import foot_radius, vertical_axis
-from derender.detection.patches import APART, SeenSurface
+from derender.detection.patches import APART, SeenSurface, straightest
 from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe
@@ -37,6 +38,7 @@ from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import (
+    STRAIGHTEST,
     Cost,
     clear_of_edges,
     cost_of,
@@ -322,6 +324,25 @@ def test_a_box_is_likelier_than_a_free_form_and_a_bowl_is_none():
     row = make_row(BOX, place[:3, :3], place[:3] @ [0.0, 0.0, 0.06, 1.0], np.array([0.09, 0.07, 0.12]))
     (swap,) = swaps(rng, seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), Settings())
     assert swap.odds < -20.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_no_solid_is_like_is_one_thing_where_noise_is_independent(seed):
+    """Creases were taken for noise, and cylinders and spheres explained the lobes."""
+    size = 0.16 * np.ptp(blob(seed)[0], axis=0) / np.ptp(blob(seed)[0], axis=0).max()
+    image = seen_on_the_table([(MESH, 0.0, 0.0, size, blob(seed))])
+    found = derender.infer(derender.DepthImage(image, CAMERA), seed=1)
+    assert [each.type for each in found.objects] == ["thing"]
+
+
+def test_independent_noise_leaves_this_much_along_the_straightest_line():
+    """A plane leaves half a nat of a pixel, of which the mean of so many is known to a hundredth."""
+    plane = 1.0 / (1.0 + 0.002 * np.arange(100) + 0.003 * np.arange(100)[:, None])
+    seen = plane + 1e-4 * np.random.default_rng(0).standard_normal(plane.shape)
+    left = straightest(seen, np.ones(plane.shape, bool))
+    assert not np.isfinite(left[[0, 0, -1, -1], [0, -1, 0, -1]]).any()
+    assert 0.5 * STRAIGHTEST * left[1:-1, 1:-1].mean() / 1e-8 == pytest.approx(0.5, rel=0.05)
+    assert straightest(plane, np.ones(plane.shape, bool))[1:-1, 1:-1].max() < 1e-20
 
 
 def test_what_a_solid_s_edges_mix_makes_no_free_form_of_it():
