@@ -65,7 +65,7 @@ class Percent(click.ParamType):
 @click.option("--remove", multiple=True, metavar="NAME", help="Take an object away; repeatable.")
 @click.option("--add", multiple=True, metavar="NEW:box:10x5x5cm@NAME", help="Put an object on another; repeatable.")
 @click.option("--tilt", metavar="10deg[:+x]", help="Lower the floor towards a direction of the root's axes.")
-@click.option("--shake", metavar="2Hz:5mm[:+x]", help="Swing the floor to and fro by twice the length.")
+@click.option("--shake", metavar="2Hz:5mm[:+x]", help="Swing the floor to and fro by twice the length, all the while.")
 @click.option(
     "--jitter", metavar="2mm,1deg", help="Displace and turn all at random, none into another, in each draw anew."
 )
@@ -103,7 +103,8 @@ def command(
     """Simulate scene files, priors, or folders written by `derender infer`, and say whether they stand.
 
     A scene stands if no body moves by more than a tenth of its size or turns by more than 10 degrees at any time. It
-    settles if something does but all comes to rest on what bore it before, the same side up; else it falls. Contacts
+    settles if something does but all comes to rest on what bore it before, the same side up (what still moves is waited
+    for, and a floor is shaken no longer than --duration); else it falls. Contacts
     of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
     Solids that enter each other deeper than that fall, whichever engine is asked, and a line says which.
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell

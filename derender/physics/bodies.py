@@ -120,6 +120,11 @@ class Matter(NamedTuple):
         return min((min(body.size.tolist()) for body in self.bodies if body.kind != "plane"), default=0.1)
 
     @property
+    def thrown(self) -> bool:
+        """Whether a body has a speed at the start."""
+        return any(np.any(body.velocity) or np.any(body.angular_velocity) for body in self.bodies if body.moves)
+
+    @property
     def period(self) -> float:
         """Seconds of the order in which a body of that extent falls by it."""
         return float(np.sqrt(self.unit / self.strength))

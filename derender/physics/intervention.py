@@ -73,10 +73,11 @@ class Shake(NamedTuple):
     frequency: float  # 1 / s
     amplitude: float  # metres, half of what the floor travels
     direction: np.ndarray  # (3,) unit vector
+    end: float = np.inf  # seconds; then the floor keeps its speed, and seen from it nothing is done any more
 
     def acceleration(self, time: float) -> np.ndarray:
         """Return the floor's acceleration (3,) at a time: seen from it, all bodies have the opposite one."""
-        turn = 2 * np.pi * self.frequency
+        turn = 2 * np.pi * self.frequency * (time < self.end)
         return self.amplitude * turn**2 * np.cos(turn * time) * np.asarray(self.direction)
 
 
@@ -139,16 +140,19 @@ class Intervention(NamedTuple):
             found = jittered(found, self.jitter, rng)
         return found if self.tilt is None else tilted(found, self.tilt[0], axes @ self.tilt[1])
 
-    def in_scene(self, axes: np.ndarray) -> "Intervention":
-        """Return what acts on the scene while it is simulated, in the scene's own axes."""
+    def in_scene(self, axes: np.ndarray, duration: float) -> "Intervention | None":
+        """Return what acts on the scene while it is simulated, in the scene's own axes, for so many seconds at most."""
+        if not self.pushes and self.shake is None:
+            return None
         pushes = tuple(push._replace(force=axes @ push.force) for push in self.pushes)
-        shake = None if self.shake is None else self.shake._replace(direction=axes @ self.shake.direction)
+        shake = None if self.shake is None else self.shake._replace(direction=axes @ self.shake.direction, end=duration)
         return Intervention(pushes, shake=shake)
 
     @property
     def ends(self) -> float:
-        """Seconds after which nothing is done any more; infinite while the floor shakes."""
-        return np.inf if self.shake is not None else max((p.start + p.duration for p in self.pushes), default=0.0)
+        """Seconds after which nothing is done any more."""
+        shaken = [] if self.shake is None else [self.shake.end]
+        return max([*shaken, *(push.start + push.duration for push in self.pushes)], default=0.0)
 
     def forces(self, time: float) -> Mapping[str, np.ndarray]:
         """Return the force (3,) on each body that is being pushed at a time."""

@@ -131,11 +131,10 @@ class World:
         self.units = units or Units(self.length, period, float(masses.max(initial=0.0)) or 1.0)
         # the scene's own scales in the engine's units
         self._long, self._slow = self.length / self.units.length, period / self.units.time
-        started = any(np.any(body.velocity) or np.any(body.angular_velocity) for body in matter.bodies if body.moves)
         bouncy = any(body.elasticity > 0 for body in matter.bodies)
-        usual = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if started else TIMESTEP
+        usual = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if matter.thrown else TIMESTEP
         self._step = (timestep or usual) * self._slow
-        self._slides = moving if moving is not None else started or bouncy or leans(matter)
+        self._slides = moving if moving is not None else matter.thrown or bouncy or leans(matter)
         self._hardness, self._across = MOVING if self._slides else RESTING
         self._rough = [body.friction for body in matter.bodies]
         self._bouncy = [body.elasticity for body in matter.bodies]

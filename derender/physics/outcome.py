@@ -28,7 +28,7 @@ ENGINES = ("mujoco", "statics", "both")
 LONGEST = 3600.0  # seconds simulated: a trajectory fits into memory
 # A scene whose bodies still move after the time asked for is followed this many times longer before it is judged.
 PATIENCE = 3.0
-# One that has gone further than this share of its mean extent is not waited for.
+# What nobody has pushed, shaken or thrown and has gone further than this share of its mean extent is not waited for.
 FAR = 0.4
 # Draws before their spread is taken for what the next ones will do.
 LEAST_DRAWS = 10
@@ -107,11 +107,11 @@ def simulate_scene(
         moved = dict.fromkeys(found.unbalanced(), 0.0)
         verdict = Verdict(by_engine["statics"], moved, {}, {}, tuple(found.entered))
     else:
-        disturbance = what.in_scene(axes) if what.pushes or what.shake is not None else None
+        disturbance = what.in_scene(axes, duration)
         trajectory = simulate(matter, duration, early=early, disturbance=disturbance)
         verdict = judge(trajectory, matter)
-        shaken = disturbance is not None and disturbance.shake is not None
-        if verdict.verdict == FALLS and not trajectory.resting and not shaken and _may_yet_rest(trajectory):
+        waits = disturbance is not None or matter.thrown or not _gone_far(trajectory)
+        if verdict.verdict == FALLS and not trajectory.resting and waits:
             verdict = judge(simulate(matter, PATIENCE * duration, early=True, disturbance=disturbance), matter)
         by_engine["mujoco"] = verdict.verdict
     return Outcome(
@@ -228,10 +228,10 @@ def upright_axes(matter: Matter) -> np.ndarray:
     return upright_frame(up, along)[:3, :3]
 
 
-def _may_yet_rest(trajectory: Trajectory) -> bool:
-    """Return whether no body has gone so far that it cannot come to rest as the same structure."""
+def _gone_far(trajectory: Trajectory) -> bool:
+    """Return whether a body has gone so far that, left alone, it cannot come to rest as the same structure."""
     moved = np.array(list(trajectory.greatest_displacement().values()))
-    return bool(np.all(moved < FAR * np.cbrt(np.prod(trajectory.sizes, axis=1))))
+    return bool(np.any(moved >= FAR * np.cbrt(np.prod(trajectory.sizes, axis=1))))
 
 
 # Bodies that are so many times longer than wide are needles: their verdicts hang on the last tenth of a millimetre.

@@ -63,7 +63,7 @@ def _run(
     frames = max(1, round(duration * frames_per_second))
     steps_done = 0
     # what is pushed or thrown may go far and yet come to rest as it was
-    left_alone = disturbance is None and not any(np.any(body.velocity) for body in matter.bodies)
+    left_alone = disturbance is None and not matter.thrown
     poses = np.tile(np.array([matter.bodies[i].pose for i in shown], float).reshape(-1, 4, 4), (frames + 1, 1, 1, 1))
     times = np.zeros(frames + 1)
     limits = GONE * DISPLACEMENT_TOLERANCE * np.cbrt(np.prod(sizes[place], axis=1))
@@ -83,7 +83,8 @@ def _run(
         if frame == frames or (early and times[frame] > done.ends):
             resting = fate.at_rest(times[: frame + 1], poses[: frame + 1, place])
             moved = np.linalg.norm(poses[frame, place, :3, 3] - poses[0, place, :3, 3], axis=1)
-            gone = left_alone and (np.all(moved > limits) or fate.sealed(times[frame], poses[frame, place]))
+            lost = not matter.thrown and fate.sealed(times[frame], poses[frame, place])
+            gone = lost or (left_alone and np.all(moved > limits))
             if early and (resting or gone):
                 last = frame
                 break

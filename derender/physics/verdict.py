@@ -198,12 +198,15 @@ class Fate:
 
     def at_rest(self, times: np.ndarray, poses: np.ndarray) -> bool:
         """Return whether nothing has moved lately. times : (T,) seconds; poses : (T, M, 4, 4) of what moves."""
+        if np.any(times[-1] < self._calm):
+            return False
         first = np.searchsorted(times, times[-1] - self._calm, side="right") - 1
-        before = poses[np.maximum(first, 0), np.arange(len(self._calm))]
-        moved = np.linalg.norm(poses[-1, :, :3, 3] - before[:, :3, 3], axis=1)
-        turned = np.linalg.norm(poses[-1, :, :3, :3] - before[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
+        # at any time since, not at the first alone: what rocks on a shaken floor comes back to where it was
+        since = np.arange(min(first, default=0), len(times) - 1)
+        moved = np.linalg.norm(poses[-1, :, :3, 3] - poses[since, :, :3, 3], axis=-1)
+        turned = np.linalg.norm(poses[-1, :, :3, :3] - poses[since, :, :3, :3], axis=(-1, -2)) / np.sqrt(2)
         calm = moved + 0.5 * np.linalg.norm(self._sizes, axis=1) * turned < DRIFT * self._sizes.max(axis=1)
-        return bool(np.all(calm & (times[-1] >= self._calm)))
+        return bool(np.all(calm | (since[:, None] < first)))
 
     def sealed(self, time: float, poses: np.ndarray) -> bool:
         """Return whether a body has lost what bore it, some time ago. poses : (M, 4, 4) of what moves."""

@@ -230,6 +230,22 @@ def test_interventions_do_what_they_say(graph):
     assert added.stable and added.matter.bodies[-1].name == "new" and ("new", "green") in added.matter.supports
 
 
+@pytest.mark.parametrize(
+    ("acts", "friction", "wide", "high", "verdict"),
+    [
+        ({"shake": "2Hz:62mm"}, 0.5, 0.1, 0.03, "settles"),  # by 2 mu g: it slips to and fro by 54 mm
+        ({"shake": "8Hz:3.88mm"}, 1.2, 0.04, 0.08, "settles"),  # it rocks, in step with what is kept of its poses
+        ({"shake": "3Hz:70mm"}, 1.2, 0.04, 0.08, "falls"),
+        ({"push": "a:+x:0.4N@1s"}, 0.1, 0.1, 0.03, "settles"),  # it slides by metres, for longer than is asked
+    ],
+)
+def test_what_is_shaken_or_pushed_is_judged_when_it_has_come_to_rest(acts, friction, wide, high, verdict):
+    """It fell where it still moved at the end; or rested where it had rocked back to the same place by then."""
+    box = Body("a", "box", np.array([wide, wide, high]), translation(0, 0, high / 2), friction=friction)
+    outcome = simulate_scene(matter(FLOOR, box), **acts)
+    assert outcome.verdict == verdict and not outcome.trajectory.resting
+
+
 @pytest.mark.slow
 def test_probabilities_have_errors_and_stop_when_known(graph):
     chance = probability([graph] * 400, "falls", until=0.08, tilt="21deg", seed=3, duration=1.0)
