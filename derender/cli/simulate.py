@@ -201,7 +201,7 @@ def _one(source: Found, what, ask, margin: bool, forces: bool, talk: Talk):
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
         drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], ask["jobs"], ask["until"])
         runs = [replace(run, trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
-        assumed += assumed_of_draws(runs)
+        assumed += assumed_of_draws(runs, what)
     for sentence in assumed:
         talk.warn(sentence)
     return summary_of(best, runs, assumed, source.missed), best

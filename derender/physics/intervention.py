@@ -4,7 +4,7 @@ Jitter is perceptual noise: where bodies are, as somebody sees them who knows th
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from derender.scene.codec.yaml_tree import parse_number
 from derender.scene.pose import from_axes, from_rotation_vector, moved
 
 TRIES = 10  # of all bodies at once, before they are drawn one by one
+LEAST_SIDEWAYS = 1e-3  # of a direction of length 1: less is upright but for rounding
 SWEEPS, TRIES_EACH = 5, 30  # through the bodies, and draws of one of them before it stays where it is
 
 
@@ -75,16 +76,23 @@ class Shake(NamedTuple):
     direction: np.ndarray  # (3,) unit vector
     end: float = np.inf  # seconds; then the floor keeps its speed, and seen from it nothing is done any more
 
-    def acceleration(self, time: float) -> np.ndarray:
-        """Return the floor's acceleration (3,) at a time: seen from it, all bodies have the opposite one."""
-        turn = 2 * np.pi * self.frequency * (time < self.end)
-        return self.amplitude * turn**2 * np.cos(turn * time) * np.asarray(self.direction)
+    def acceleration(self, first: float, last: float) -> np.ndarray:
+        """Return the floor's mean acceleration (3,) between two times: seen from it, all bodies have the opposite one.
+
+        Its value in between would do for slow swings; of one as fast as the engine's steps the values add up to a wind.
+        """
+        turn = 2 * np.pi * self.frequency
+        sooner, later = np.sin(turn * np.minimum((first, last), self.end))
+        return self.amplitude * turn * (later - sooner) / (last - first) * np.asarray(self.direction)
 
 
 def tilted(matter: Matter, angle: float, direction: np.ndarray) -> Matter:
     """Return a scene on a floor that is lowered on one side: gravity leans over towards `direction` by radians."""
     axis = np.cross(-matter.up, direction)
-    turned = from_rotation_vector(angle * axis / np.linalg.norm(axis))[:3, :3] @ matter.gravity
+    length = float(np.linalg.norm(axis))
+    if length < LEAST_SIDEWAYS and np.any(matter.gravity):
+        raise DerenderError("a floor is not tilted up or down", "--tilt", "write 10deg:+y or 10deg:30deg")
+    turned = from_rotation_vector(angle * axis / max(length, LEAST_SIDEWAYS))[:3, :3] @ matter.gravity
     return matter._replace(gravity=turned)
 
 
@@ -139,6 +147,24 @@ class Intervention(NamedTuple):
         if self.jitter is not None:
             found = jittered(found, self.jitter, rng)
         return found if self.tilt is None else tilted(found, self.tilt[0], axes @ self.tilt[1])
+
+    @property
+    def names(self) -> set[str]:
+        """Names of the bodies that it acts on."""
+        added = {name for name, *_ in self.add}
+        return {*(push.body for push in self.pushes), *self.remove, *(parent for *_, parent, _ in self.add)} - added
+
+    def among(self, names: Iterable[str]) -> "Intervention":
+        """Return what can be done where these bodies are: nothing to those that only other draws of a scene have."""
+        there, added = set(names), []
+        for each in self.add:
+            if each[3] in there:
+                added.append(each)
+                there.add(each[0])
+        pushes = tuple(push for push in self.pushes if push.body in there)
+        return self._replace(
+            pushes=pushes, add=tuple(added), remove=tuple(name for name in self.remove if name in there)
+        )
 
     def in_scene(self, axes: np.ndarray, duration: float) -> "Intervention | None":
         """Return what acts on the scene while it is simulated, in the scene's own axes, for so many seconds at most."""

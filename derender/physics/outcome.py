@@ -130,7 +130,9 @@ def outcomes(
     until: float | None = None,
     event: Callable[[Outcome], bool] = lambda outcome: outcome.stable,
 ) -> Iterator[Outcome]:
-    """Yield what happens to each of many scenes; scene k depends on the seed and on k alone.
+    """Yield what happens to each of many draws of a scene; that of draw k depends on the seed and on k alone.
+
+    What is done to a body is left out of the draws that do not have it.
 
     jobs : threads; the result does not depend on it.
     until : stop as soon as the standard error of the event's probability is no greater, after 10 scenes at least.
@@ -142,9 +144,13 @@ def outcomes(
     if until is not None and not until > 0.0:
         raise DerenderError(f"until is {until:g}", None, "give a standard error, more than none")
 
+    known: set[str] = set()
+
     def run(item: "tuple[int, SceneGraph | Matter]") -> Outcome:
-        rng = np.random.default_rng([seed, item[0]])
-        return simulate_scene(item[1], engine=engine, duration=duration, what=what, rng=rng)
+        scene, rng = item[1], np.random.default_rng([seed, item[0]])
+        names = [body.name for body in scene.bodies] if isinstance(scene, Matter) else scene.solid_names
+        known.update(names)
+        return simulate_scene(scene, engine=engine, duration=duration, what=what.among(names), rng=rng)
 
     happened: list[bool] = []
     numbered = enumerate(scenes)
@@ -157,7 +163,9 @@ def outcomes(
             if until is not None:
                 happened.append(bool(event(outcome)))
                 if len(happened) >= LEAST_DRAWS and chance_of(happened).error <= until:
-                    return
+                    break
+    for name in sorted(what.names - known if known else ()):
+        raise DerenderError(f"no object is called {name!r}", None, suggest(name, sorted(known)))
 
 
 def chance_of(happened: Sequence[bool], before: float = 0.5, missed: float = 0.0) -> Chance:
@@ -266,10 +274,15 @@ def assumptions(outcome: Outcome) -> list[str]:
     return said
 
 
-def assumed_of_draws(runs: Sequence[Outcome]) -> list[str]:
+def assumed_of_draws(runs: Sequence[Outcome], what: Intervention) -> list[str]:
     """Return what is assumed of the draws of an uncertain scene beyond that of the most probable one."""
     deep = sum(bool(run.entered) for run in runs)
-    return [f"in {deep} of {len(runs)} draws solids enter each other deep: those do not stand"] if deep else []
+    said = [f"in {deep} of {len(runs)} draws solids enter each other deep: those do not stand"] if deep else []
+    there = [{body.name for body in run.matter.bodies} for run in runs]
+    for name in sorted(what.names.difference(what.remove)):
+        if lacking := sum(name not in names for names in there):
+            said.append(f"in {lacking} of {len(runs)} draws there is no {name}: nothing is done to it there")
+    return said
 
 
 # Draws that each verdict is worth beforehand, one in all, so that no verdict is surer than the draws can make it.

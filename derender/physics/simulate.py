@@ -98,9 +98,8 @@ def advance(world: World, done: Intervention, gravity: np.ndarray, first: int, l
     ends = {round(time / world.timestep) for push in done.pushes for time in (push.start, push.start + push.duration)}
     edges = range(first, last) if done.shake else [first, *sorted(e for e in ends if first < e < last)]
     for start, end in pairwise([*edges, last]):
-        middle = (start + 0.5) * world.timestep
         if done.shake:
-            world.set_gravity(gravity - done.shake.acceleration(middle))
+            world.set_gravity(gravity - done.shake.acceleration(start * world.timestep, end * world.timestep))
         if done.pushes:
-            world.set_forces(done.forces(middle))
+            world.set_forces(done.forces((start + 0.5) * world.timestep))
         world.step(end - start)

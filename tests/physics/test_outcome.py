@@ -134,7 +134,7 @@ def test_what_no_rigid_bodies_can_be_does_not_stand_whoever_is_asked(shift):
     assert possible == (not said) and all("overlap by 90.0 mm" in sentence for sentence in said)
     row = row_of("deep", summary_of(outcome, [outcome], said))
     assert (row["stable"], row["assumed"]) == (possible, "; ".join(said))
-    assert possible == (not assumed_of_draws([outcome])) and (possible or "1 of 1" in assumed_of_draws([outcome])[0])
+    assert possible == (not (said := assumed_of_draws([outcome], Intervention()))) and (possible or "1 of 1" in said[0])
 
 
 def test_what_lies_in_the_hull_of_a_bowl_may_stand():
@@ -228,6 +228,27 @@ def test_interventions_do_what_they_say(graph):
     assert moved @ along > 0.9 * np.linalg.norm(moved) > 0.01
     added = simulate_scene(graph, add=["new:box:10x5x5cm@green"])
     assert added.stable and added.matter.bodies[-1].name == "new" and ("new", "green") in added.matter.supports
+
+
+def test_draws_that_lack_an_object_leave_out_what_is_done_to_it(graph):
+    """Of a posterior in which it is there with .9, or a prior, the first draw without it ended everything."""
+    alone = simulate_scene(graph, remove="green").matter
+    acts = intervention(push="green:+x:9N@0.2s", add="new:cube:4cm@green")
+    runs = list(outcomes([graph, alone, graph], acts))
+    assert [run.verdict for run in runs] == ["falls", "stands", "falls"]
+    said = assumed_of_draws(runs, acts)
+    assert said == ["in 1 of 3 draws there is no green: nothing is done to it there"]
+    assert probability([alone, graph], "stands", remove="green").draws == 2
+    with pytest.raises(DerenderError, match="no object is called 'gren'; did you mean 'green'"):
+        probability([graph, alone], "stands", remove="gren")
+
+
+def test_a_floor_is_tilted_sideways_and_shaken_by_what_it_does_within_a_step(graph):
+    with pytest.raises(DerenderError, match="not tilted up or down"):
+        simulate_scene(graph, tilt="20deg:+z")  # stood, along a direction of rounding errors
+    shake = read_shake("1000Hz:1mm")
+    assert np.abs(shake.acceleration(0.0, 0.01)).max() < 1e-6 < np.abs(shake.acceleration(0.0, 2.5e-4)).max()
+    assert np.abs(shake._replace(end=0.01).acceleration(0.01, 0.0101)).max() == 0.0
 
 
 @pytest.mark.parametrize(
