@@ -154,6 +154,8 @@ def command(
         from derender.document import write_document
         from derender.physics.verdict import settled_graph
 
+        if not best.trajectory.resting:
+            talk.warn(f"not all is at rest after {duration:g} s: it is written as it is then; give a longer --duration")
         write_document(settle, settled_graph(source.graph, best.trajectory, best.matter), source.camera, None, made)
         talk.say(f"wrote {settle}")
     if animate is not None:

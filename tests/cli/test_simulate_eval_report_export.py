@@ -75,6 +75,8 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     assert status == 0 and found["engines"] == {"statics": "falls", "mujoco": "falls"} and found["margin"] == 0
     assert list(found["first_moved"]) == ["top"] and found["p_verdict"]["falls"] == 1
     assert json.loads(run(capsys, "simulate", "settled.yaml", "--engine", "both", "--json")[1])["verdict"] == "stands"
+    soon = run(capsys, "simulate", "falls.yaml", "--settle", "falling.yaml", "--duration", "0.2")[2]
+    assert "not all is at rest after 0.2 s" in soon and "at rest" not in err
     standing = json.loads(run(capsys, "simulate", "stands.yaml", "--engine", "statics", "--forces", "--json")[1])
     assert standing["verdict"] == "stands" and standing["margin"] > 0.1 and len(standing["forces"]) == 2
     assert run(capsys, "simulate", "falls.yaml", "--engine", "statics")[1].splitlines()[0] == "falls: top"
