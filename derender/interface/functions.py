@@ -115,6 +115,7 @@ def infer(
     floor: str | Sequence[float] | np.ndarray | None = None,
     allow_interpenetration: bool = False,
     allow_floating: bool = False,
+    assume_stable: bool = False,
     chains: int | None = None,
     draws: int | None = None,
     warmup: int | None = None,
@@ -134,7 +135,8 @@ def infer(
     known : a library of known objects; only_known : there is nothing else.
     method : "auto", "map", "mcmc" or "smc"; quick : the best scene alone, as method="map".
     shapes, max_objects : to look for. floor : "auto", "none" or (a, b, c, d) of its plane in camera axes, metres.
-    allow_interpenetration, allow_floating : whether solids may enter each other or hang in the air.
+    allow_interpenetration, allow_floating : whether solids may enter each other or hang in the air. assume_stable :
+        whether what could not stand by itself is ruled out.
     chains, draws, warmup, jobs : how much is drawn, in how many processes. seed : the same seed gives the same draws.
     budget : seconds after which draws of a bare image that do not agree yet are not gone on with.
     progress : called with (fraction done, what is being done).
@@ -161,6 +163,7 @@ def infer(
         method="map" if quick else method, quick=quick, seed=seed, chains=chains, draws=draws, warmup=warmup,
         budget=budget, jobs=jobs, shapes=shapes, max_objects=max_objects, floor=floor, known=known,
         only_known=only_known, may_overlap=allow_interpenetration, may_float=allow_floating,
+        assume_stable=assume_stable,
     )  # fmt: skip
     document = prior if isinstance(prior, Document | None) else read_prior_document(prior)
     if not isinstance(image, DepthImage):

@@ -378,6 +378,16 @@ def test_interventions_act_on_scenes_and_posteriors(posterior):
         scene.simulate(0.1, pusch="green:+x:5N@0.3s")
 
 
+def test_what_could_not_stand_is_ruled_out(image):
+    few = {"prior": "stack", "draws": 20, "warmup": 10, "assume_stable": True}
+    stands = derender.sample("stack", seed=1).render(derender.Camera.from_field_of_view(64, 48), noise=True)
+    stable = derender.infer(stands, **few)
+    assert stable.probability("stands", engine="statics", draws=20).probability > 0.95
+    assert 0 < stable.meta["p_stands_before"] <= 1
+    with pytest.raises(DerenderError, match="assume_stable=: no draw of the posterior stands"):
+        derender.infer(image, **few)
+
+
 def test_notebooks_show_pictures_that_need_no_network(posterior):
     for thing in (posterior, posterior.best):
         page = thing._repr_html_()
