@@ -77,7 +77,7 @@ class Percent(click.ParamType):
 @options.seed
 @options.quiet
 @options.tells_idle(
-    Idle(("duration", "push", "shake"), lambda given: given["engine"] == "statics", "statics judges a scene at rest"),
+    Idle(("duration",), lambda given: given["engine"] == "statics", "statics judges a scene at rest"),
     Idle(("draws",), lambda given: given["until"], "--until says how many draws there are"),
     Idle(("forces",), lambda given: _makes_table(**given), TABLE),
     Idle(("as_json",), lambda given: given["output"] and _makes_table(**given), TABLE),
@@ -260,7 +260,7 @@ def _lines(found: Any) -> Iterator[Any]:
     moved = (name + (f" after {time:.2f} s" if time else "") for name, time in found["first_moved"].items())
     yield found["verdict"] + (": " + ", ".join(moved) if found["fallen"] else "")
     for name, word in others.items():
-        yield f"{name} says otherwise: {word}"
+        yield f"{name} says otherwise of the scene at rest: {word}"
     if found["margin"] is not None:
         yield f"margin {found['margin']:.3f} g"
     missed = told_of_missed(found)

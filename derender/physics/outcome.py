@@ -71,14 +71,14 @@ def simulate_scene(
     """Return what happens to a scene.
 
     scene : a graph, its distributions drawn by `rng`, or bodies.
-    engine : "mujoco", "statics" (which knows no pushes: it judges the scene at rest) or "both".
+    engine : "mujoco", "statics" or "both"; statics judges the scene at rest, and says nothing of pushes and shaking.
     duration : seconds. early : stop as soon as the verdict is known; the trajectory is then short.
     acts : push, remove, add, tilt, shake, jitter, as of `derender simulate`; `what` says the same, read already.
     margin, forces : whether these are wanted.
     rng : of jitter and of what is a distribution; None: seed 0, and means.
 
-    Raises DerenderError : an unknown object or engine, a text that cannot be read, a pose, size, mass or speed that is
-        no finite number, numbers that diverge.
+    Raises DerenderError : an unknown object or engine, a push or shaking for statics alone, a text that cannot be read,
+        a pose, size, mass or speed that is no finite number, numbers that diverge.
     """
     from derender.physics.simulate import simulate
 
@@ -92,6 +92,8 @@ def simulate_scene(
         matter, axes = scene, upright_axes(scene)
     else:
         matter, axes = matter_of_graph(scene, rng), np.asarray(scene.root_pose, dtype=float)[:3, :3]
+    if engine == "statics" and (what.pushes or what.shake is not None):
+        raise DerenderError("statics judges a scene at rest: it knows no pushes and no shaking", None, "ask mujoco")
     matter = what.apply(matter, axes, np.random.default_rng(0) if rng is None else rng)
     for body in matter.bodies:
         numbers = [*np.ravel(body.pose), *body.size, body.mass or 0.0, *body.velocity, *body.angular_velocity]

@@ -220,6 +220,9 @@ def test_interventions_do_what_they_say(graph):
     assert simulate_scene(graph, remove=["red"]).fallen == ("green",)
     assert simulate_scene(graph, tilt="15deg").stable and not simulate_scene(graph, tilt="30deg").stable
     assert not simulate_scene(graph, tilt="30deg", engine="statics").stable
+    for act in ({"push": "green:+x:9N@1s"}, {"shake": "2Hz:9cm"}):
+        with pytest.raises(DerenderError, match="knows no pushes"):  # it stood, whatever the push
+            simulate_scene(graph, engine="statics", **act)
     # a floor that swings harder than friction times g shakes a box off its place
     assert simulate_scene(graph, shake="2Hz:5mm").stable and not simulate_scene(graph, shake="3Hz:40mm").stable
     pushed = simulate_scene(graph, push=["red:+x:6N@0.2s"], early=False)
