@@ -89,7 +89,12 @@ class Engine:
         self._normal = floor / (float(np.linalg.norm(floor)) or 1.0)
         self.interval = interval
         self.masses = np.array([body.weight_in_kg() for body in bodies[: len(names)]])
-        self._names, self._bodies = names, bodies
+        self._names, self._bodies, self._made_of, self._parted = (
+            names,
+            bodies,
+            (matter, names, interval, coarser),
+            False,
+        )
         self._balls = np.array([body.kind == "sphere" for body in bodies[: len(names)]], bool)
         self._steps = [int(np.ceil(interval / step / coarser)) for step in (LONGEST_STEP, IMPACT_STEP)]
         self._worlds = [self._world(matter, interval / count) for count in self._steps]
@@ -104,8 +109,16 @@ class Engine:
         world.model.pair_solreffriction[:, 1] *= FIRMER
         return world
 
+    def twin(self) -> "Engine":
+        """Return another engine that does the same, for another thread."""
+        other = Engine(*self._made_of)
+        if self._parted:
+            other.part()
+        return other
+
     def part(self) -> None:
         """Let the moving bodies pass through each other."""
+        self._parted = True
         for world in self._worlds:
             owner = world.model.geom_bodyid
             both = (owner[world.model.pair_geom1] > 0) & (owner[world.model.pair_geom2] > 0)

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.special import logsumexp
 
+from derender.compilation.threads import run_together
 from derender.dynamics.engine import Engine, Scales
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamics_prior
@@ -333,7 +335,8 @@ def sample(
         rounds.append(components)
         fresh = np.array([_proposal(rng, components, parameters) for _ in range(draws)])
         points = np.vstack([points, fresh])
-        target = np.concatenate([target, [density(point[:size], point[size:]) for point in fresh]])
+        found = run_together(*(partial(density, point[:size], point[size:]) for point in fresh))
+        target = np.concatenate([target, found])
         log_weights = target - _mixture(points, rounds, parameters)
     flat, power = _flattened(log_weights)
     share = power**2 if struck else power

@@ -8,12 +8,14 @@ velocity while a body moves; so what happens before an impact tells little of wh
 linear in the states, these integrate out: that is the marginal likelihood of the material.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import cho_solve, solve_triangular
 
+from derender.compilation.threads import run_together
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
 from derender.dynamics.motion import HELD_TURN, HELD_WITHIN, Motion
@@ -81,7 +83,7 @@ class Shooting(Impacts):
 
     def __init__(self, motion: Motion, parameters: Parameters, engine: Engine) -> None:
         super().__init__(motion)
-        self.parameters, self.engine = parameters, engine
+        self.parameters, self.engine, self._idle = parameters, engine, [engine]
         states = self.filled
         self.planes = [self.plane_at(frame, k) for frame, k in self.cuts]
         # Bodies that lie on a floor throughout meet in blows alone. What those do is told by what follows: films of
@@ -150,20 +152,23 @@ class Shooting(Impacts):
         material = self.parameters.material(path.coordinates)
         if not self.struck:  # restitution and masses would only change how contacts with the floor rattle
             material = Material(material.friction, SLIDING_RESTITUTION, self.engine.masses)
-        self.engine.tell(material)
         states, arrived = path.states.copy(), path.arrived.copy()
-        rests = False
-        for frame in range(first + 1, self.frames):
-            if rests and not self.is_cut[frame - 1].any():
-                arrived[frame] = states[frame - 1]
-            else:
-                arrived[frame] = self.engine.advance(states[frame - 1])
-                rests = self._stays(states[frame - 1], arrived[frame])
-            after = np.where(self.is_cut[frame][:, None], path.states[frame], arrived[frame])
-            same = first and np.array_equal(after, path.states[frame])
-            states[frame] = after
-            if same:  # from here on nothing differs
-                break
+        rests, engine = False, self._idle.pop() if self._idle else self.engine.twin()  # each thread has one
+        engine.tell(material)
+        try:
+            for frame in range(first + 1, self.frames):
+                if rests and not self.is_cut[frame - 1].any():
+                    arrived[frame] = states[frame - 1]
+                else:
+                    arrived[frame] = engine.advance(states[frame - 1])
+                    rests = self._stays(states[frame - 1], arrived[frame])
+                after = np.where(self.is_cut[frame][:, None], path.states[frame], arrived[frame])
+                same = first and np.array_equal(after, path.states[frame])
+                states[frame] = after
+                if same:  # from here on nothing differs
+                    break
+        finally:
+            self._idle.append(engine)
         return path._replace(states=states, arrived=arrived)
 
     def _stays(self, before: np.ndarray, after: np.ndarray) -> bool:
@@ -261,13 +266,12 @@ class Shooting(Impacts):
             np.zeros((self.frames, self.count, rows, self.size + self.parameters.size)) for rows in (6, CHANGE)
         )
 
-        def fill(column: int, frame: int, ways: list[Path], width: float) -> None:
-            down, up = ways
-            by_pose[frame:, :, :, column] = (
-                difference(up.states[frame:], down.states[frame:])[..., :6] / width * self.seen[frame:, :, None]
-            )
-            by_defect[frame:, :, :, column] = (self.defects(up)[frame:] - self.defects(down)[frame:]) / width
+        def slope(frame: int, ways: list[Path], width: float) -> tuple[np.ndarray, np.ndarray]:
+            down, up = (way if way is path else self.rolled(way, frame) for way in ways)
+            pose = difference(up.states[frame:], down.states[frame:])[..., :6] * self.seen[frame:, :, None]
+            return pose / width, (self.defects(up)[frame:] - self.defects(down)[frame:]) / width
 
+        columns = {}
         for (frame, k), part, directions in zip(self.cuts, self.parts, self.ways, strict=True):
             for column, direction in zip(range(part.start, part.stop), directions.T, strict=True):
                 width = float(np.abs(direction) @ STEPS / np.abs(direction).sum())
@@ -275,16 +279,18 @@ class Shooting(Impacts):
                 for sign in (-1, 1)[2 - sides :]:
                     states = path.states.copy()
                     states[frame, k] = moved(states[frame, k], sign * width * direction)
-                    ways.append(self.rolled(path._replace(states=states), frame))
-                fill(column, frame, ways, sides * width)
-        for k in range(self.count):
-            for axis in range(3):
-                by_pose[:, k, axis, self.parts[-1].stop + 3 * k + axis] = -1.0 * self.seen[:, k]
+                    ways.append(path._replace(states=states))
+                columns[column] = partial(slope, frame, ways, sides * width)
         for number in np.flatnonzero(self.tells(path)).tolist():
             step = np.zeros(self.parameters.size)
             step[number] = COORDINATE_STEP
-            ways = [self.rolled(path._replace(coordinates=path.coordinates + way)) for way in (-step, step)]
-            fill(self.size + number, 0, ways, 2 * COORDINATE_STEP)
+            ways = [path._replace(coordinates=path.coordinates + way) for way in (-step, step)]
+            columns[self.size + number] = partial(slope, 0, ways, 2 * COORDINATE_STEP)
+        for column, (pose, defect) in zip(columns, run_together(*columns.values()), strict=True):
+            by_pose[-len(pose) :, :, :, column], by_defect[-len(pose) :, :, :, column] = pose, defect
+        for k in range(self.count):
+            for axis in range(3):
+                by_pose[:, k, axis, self.parts[-1].stop + 3 * k + axis] = -1.0 * self.seen[:, k]
         return by_pose, by_defect
 
     def errors(self, path: Path, scales: Scales, doubts: Doubts | None = None) -> Errors:

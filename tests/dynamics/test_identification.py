@@ -422,6 +422,20 @@ def test_a_blow_just_before_the_end_is_one(frames, cut, seen):
     assert [blow.frame for blow in shooting.blows][:1] == [cut][: cut > 0]
 
 
+def test_derivatives_do_not_depend_on_the_number_of_threads(monkeypatch):
+    """Each thread has an engine of its own, whose bodies pass through each other as those of the first one do."""
+    film = collision(0.2, 1.0, 0.3, np.random.default_rng(3))
+    shooting = shooting_of(film)
+    path = shooting.first_path(shooting.parameters.middle())
+    found = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("DERENDER_THREADS", threads)
+        found.append(shooting.derivatives(path, 1))
+    assert shooting.apart and len(shooting._idle) == 2
+    for alone, together in zip(*found, strict=True):
+        np.testing.assert_array_equal(alone, together)
+
+
 def test_what_stays_together_after_a_blow_may_push_each_other_until_it_rests():
     """One blow was all: what rubbed along the other went on alone, and friction was sure at .43 where .22 was true."""
     together = shooting_of(collision(0.28, 1.0, 0.0, np.random.default_rng(4), 1e-4))
