@@ -221,8 +221,9 @@ def command(talk: Talk, **arguments: Any) -> int | None:
     With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz or .npy (T, H, W). The camera
     file may say `fps` and `gravity` (m/s^2, camera axes). Writes DIR/track.npz, DIR/track.json, DIR/events.jsonl and
     DIR/report.html with a time line. With --dynamics also DIR/dynamics.npz, draws of friction, restitution, mass ratios
-    and velocities (chain, draw), and in track.json, under `parameters`, those that the motion tells, and under `ahead`
-    where what still moves at the end will come to rest; --prior is then a YAML file whose section `dynamics` says what
+    and velocities (chain, draw), and in track.json, under `parameters`, those that the motion tells (of things that
+    never meet each its own, such as friction.box_1), and under `ahead` where what still moves at the end will come to
+    rest; --prior is then a YAML file whose section `dynamics` says what
     is believed before: friction, restitution, contact_time (s), mass_ratio and the relative errors impact_error and
     steady_error of the engine, tracking_error and turning_error, each a distribution such as {log-normal: [0.35, 0.8]};
     what it leaves out is as usual.

@@ -1,5 +1,6 @@
 """What was seen of moving bodies: poses over time with their errors, and the bodies themselves."""
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +83,29 @@ class Motion(NamedTuple):
     def body(self, name: str) -> Body:
         """Return a body by name."""
         return next(body for body in self.matter.bodies if body.name == name)
+
+    def apart(self) -> list["Motion"]:
+        """Return the motions of bodies that never come near each other, each by itself: they may be of other stuff."""
+        count = len(self.names)
+        group = np.arange(count)
+        for k, j in combinations(range(count), 2):
+            both = np.flatnonzero(self.seen[:, k] & self.seen[:, j])
+            first, second = self.body(self.names[k]), self.body(self.names[j])
+            pairs = ((first._replace(pose=self.poses[t, k]), second._replace(pose=self.poses[t, j])) for t in both)
+            if group[k] != group[j] and any(one.gap(other) < STRUCK_WITHIN for one, other in pairs):
+                group[group == group[j]] = group[k]
+        return [self._of(np.flatnonzero(group == each)) for each in dict.fromkeys(group.tolist())]
+
+    def _of(self, chosen: np.ndarray) -> "Motion":
+        """Return the motion of some of the bodies, by their numbers, as if the others were not there."""
+        names = tuple(self.names[k] for k in chosen)
+        bodies = tuple(body for body in self.matter.bodies if body.name in names or body.name not in self.names)
+        there = {body.name for body in bodies}
+        matter = self.matter._replace(
+            bodies=bodies, supports=tuple(pair for pair in self.matter.supports if set(pair) <= there)
+        )
+        arrays = (each[:, chosen] for each in (self.poses, self.covariances, self.shared))
+        return Motion(matter, names, self.times, *arrays)
 
 
 def motion_of(

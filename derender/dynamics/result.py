@@ -5,7 +5,7 @@ And what will happen (`predict`): films of the engine from drawn states and mate
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations, product
 from pathlib import Path
@@ -49,16 +49,25 @@ class Answer:
         (m / s) and angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact,
         error.steady, error.tracking and error.turning, the `Scales` of the engine. Numbers that may not be stated,
         such as restitution of what never rebounds, have the prior's draws.
+        Of one of several motions in a film friction.NAMES, error.impact.NAMES and so on, as `of` says.
     told : names of the numbers that the motion tells.
     unexplained : whether no materials explain the motion, by how large the errors are then: nothing is told.
     """
 
     def __init__(
-        self, found: Identified, rng: np.random.Generator, rate_spread: float = 0.0, level_spread: float = 0.0
+        self,
+        found: Identified,
+        rng: np.random.Generator,
+        rate_spread: float = 0.0,
+        level_spread: float = 0.0,
+        of: str = "",
     ) -> None:
         """rate_spread : standard deviation of the logarithm of the frame rate, where it was guessed. level_spread : of
-        gravity's inclination to the floor, radians."""
-        self.parameters = found.parameters
+        gravity's inclination to the floor, radians. of : names of the bodies, where others of the film have an answer
+        of their own."""
+        self.parameters, self.of = found.parameters, of
+        own = f".{of}" if of else ""
+        self.labels = [name if name.startswith("mass_ratio.") else name + own for name in found.parameters.labels]
         coordinates, logarithms = found.draws.resampled(rng)
         usual, spread = self.parameters.prior.log_scales()
         rates = np.exp(rate_spread * rng.standard_normal(len(coordinates)))
@@ -80,9 +89,9 @@ class Answer:
         coordinates[:, unstated] = [self.parameters.sample_prior(rng)[unstated] for _ in coordinates]
         values = found.parameters.values(coordinates)
         values[:, 1] = np.clip(values[:, 1], 0.0, 1.0)
-        self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
+        self.draws: dict[str, np.ndarray] = dict(zip(self.labels, values.T, strict=True))
         narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()
-        self.told = [name for name, yes in zip(found.parameters.labels, narrow & stated, strict=True) if yes]
+        self.told = [name for name, yes in zip(self.labels, narrow & stated, strict=True) if yes]
         mode = found.modes[0]
         lower = np.linalg.cholesky(mode.first + 1e-12 * np.eye(len(mode.first)))
         changes = (rng.standard_normal((len(values), len(lower))) @ lower.T).reshape(len(values), -1, CHANGE)
@@ -93,7 +102,7 @@ class Answer:
             turning = np.einsum("kij,kj->ki", turns[:, k], states[:, k, 10:])
             self.draws[f"angular_velocity.{name}"] = rates[:, None] * turning
         for number, name in enumerate(("impact", "steady", "tracking", "turning")):
-            self.draws[f"error.{name}"] = np.exp(logarithms[:, number])
+            self.draws[f"error.{name}{own}"] = np.exp(logarithms[:, number])
 
     def interval(self, name: str) -> tuple[float, float, float]:
         """Return the mean and the ends of the 90 % interval."""
@@ -107,7 +116,7 @@ class Answer:
         for name in self.told:
             mean, low, high = self.interval(name)
             said = {"mean": mean, "interval": [low, high]}
-            if name == "contact_time":  # of the model of a bounce, not of what a film is asked for
+            if name.startswith("contact_time"):  # of the model of a bounce, not of what a film is asked for
                 continue
             if name.startswith("mass_ratio."):
                 _, of, to = name.split(".")
@@ -120,12 +129,12 @@ class Answer:
 
     def lines(self) -> list[str]:
         """Return a line for each number: mean and 90 % interval, or that the motion does not tell it."""
-        lines = [NOT_ALONE] if self.unexplained else []
-        for name in self.parameters.labels:
+        lines = self.notes()
+        for name in self.labels:
             mean, low, high = self.interval(name)
-            words = name.split(".")
-            title = name if len(words) == 1 else f"mass of {words[1]} / {words[2]}"
-            unit = " s" if name == "contact_time" else ""
+            kind, *words = name.split(".")
+            title = " ".join([f"mass of {words[0]} /" if kind == "mass_ratio" else kind, *words[-1:]])
+            unit = " s" if kind == "contact_time" else ""
             told = f"{mean:.3f} ({low:.3f}-{high:.3f}){unit}" if name in self.told else "the motion does not tell"
             lines.append(f"{title:<14} {told}")
         for name in self.parameters.names:
@@ -135,15 +144,33 @@ class Answer:
             lines.append(f"{f'speed of {name}':<14} {shown} m/s at first")
         return lines
 
-    def write(self, path: str | Path, **made: Any) -> None:
-        """Write the draws, each (1, K) or (1, K, 3): chain, draw, axis; `header` is JSON with seed, version and more.
+    def notes(self) -> list[str]:
+        """Return what is to be said where no materials explain the motion."""
+        return [f"{self.of}: {NOT_ALONE}" if self.of else NOT_ALONE] if self.unexplained else []
 
-        `arviz.from_dict({name: array})` takes them as they are, `header` left out.
-        """
-        header = json.dumps({"version": __version__, "told": self.told, **made})
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            arrays = {name: values[None] for name, values in self.draws.items()}
-            np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
+
+def parameters_of(answers: Sequence[Answer]) -> dict[str, Any]:
+    """Return `parameters` of track.json. Of several motions, friction and restitution are those told best, with what
+    they are `of`, and all stand under their own names too."""
+    result: dict[str, Any] = {}
+    for answer in reversed(answers):
+        result |= answer.json()
+    for kind in ("friction", "restitution"):
+        told = [{"of": a.of, **result[f"{kind}.{a.of}"]} for a in answers if f"{kind}.{a.of}" in result]
+        if told:
+            result[kind] = min(told, key=lambda said: np.ptp(said["interval"]) / said["mean"])
+    return result
+
+
+def write_draws(path: str | Path, answers: Sequence[Answer], **made: Any) -> None:
+    """Write the draws, each (1, K) or (1, K, 3): chain, draw, axis; `header` is JSON with seed, version and more.
+
+    `arviz.from_dict({name: array})` takes them as they are, `header` left out.
+    """
+    header = json.dumps({"version": __version__, "told": [name for answer in answers for name in answer.told], **made})
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        arrays = {name: values[None] for answer in answers for name, values in answer.draws.items()}
+        np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)
 
 
 def widened(

@@ -10,7 +10,7 @@ from derender.atomic import write_text
 from derender.dynamics.inference import Identified, identify
 from derender.dynamics.motion import Motion, motion_of
 from derender.dynamics.parameters import Prior
-from derender.dynamics.result import LEVEL, NOT_ALONE, Answer, predict
+from derender.dynamics.result import LEVEL, Answer, parameters_of, predict, write_draws
 from derender.dynamics.shooting import RESTS
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter
@@ -148,14 +148,18 @@ def materials_to_folder(
     if not motion.names:
         raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
     rng = np.random.default_rng(seed)
-    found = identify(motion, rng, prior)
-    answer = Answer(found, rng, track.rate_spread, track.level_spread)
-    ahead = {} if answer.unexplained else rests_ahead(found, motion, rng)
-    answer.write(folder / "dynamics.npz", seed=seed, command=command)
+    answers: list[Answer] = []
+    ahead: dict[str, dict[str, list]] = {}
+    parts = motion.apart()
+    for part in parts:
+        found, of = identify(part, rng, prior), "+".join(part.names) if len(parts) > 1 else ""
+        answers.append(Answer(found, rng, track.rate_spread, track.level_spread, of))
+        ahead |= {} if answers[-1].unexplained else rests_ahead(found, part, rng)
+    write_draws(folder / "dynamics.npz", answers, seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
-    said["notes"] = [*said.get("notes", ()), *([NOT_ALONE] if answer.unexplained else ())]
-    write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json(), "ahead": ahead}))
-    lines = answer.lines()
+    said["notes"] = [*said.get("notes", ()), *(note for answer in answers for note in answer.notes())]
+    write_text(folder / "track.json", json.dumps({**said, "parameters": parameters_of(answers), "ahead": ahead}))
+    lines = [line for answer in answers for line in answer.lines()]
     for name, told in ahead.items():
         where = ", ".join(
             f"{m:.3f} ({a:.3f}-{b:.3f})" for m, (a, b) in zip(told["mean"], told["interval"], strict=True)

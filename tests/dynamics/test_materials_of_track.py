@@ -37,6 +37,19 @@ def track(positions, view=None, parent=1):
     )  # fmt: skip
 
 
+def together(one, other, **changes):
+    """Return the track of two boxes from those of one each."""
+    joined = {
+        name: np.concatenate([getattr(one, name), getattr(other, name)], axis=1)
+        for name in ("sizes", "poses", "covariances", "pixels")
+    }
+    chances = np.zeros((FRAMES, 2, 4))
+    chances[..., 1] = 1.0
+    both = replace(one, names=["box_1", "box_2"], types=["box"] * 2, kinds=np.ones(2, int),
+                   states=[["moving"] * 2] * FRAMES, parent_probability=chances, **joined)  # fmt: skip
+    return replace(both, **changes)
+
+
 def sliding(friction=0.3, speed=0.8):
     time = np.minimum(STEP * np.arange(FRAMES), speed / (friction * 9.81))
     x = speed * time - friction * 9.81 * time**2 / 2
@@ -73,7 +86,8 @@ def test_what_a_bounce_takes_is_said_in_seconds():
     answer = Answer.__new__(Answer)
     answer.unexplained = False
     answer.parameters, answer.told = Parameters(("box",), np.ones(1), read_dynamics_prior()), ["contact_time"]
-    answer.draws = {name: np.full(9, 0.004) for name in answer.parameters.labels}
+    answer.labels = answer.parameters.labels
+    answer.draws = {name: np.full(9, 0.004) for name in answer.labels}
     answer.draws["velocity.box"] = np.zeros((9, 3))
     assert "contact_time   0.004 (0.004-0.004) s" in answer.lines()
 
@@ -140,15 +154,8 @@ def test_what_rested_and_is_pushed_by_nothing_in_sight_is_left_out():
 def test_what_another_thing_has_entered_is_not_where_it_is_told():
     """A half hidden box that was struck was held where it had rested, 30 mm off, and told a friction of .20 to .35."""
     resting, moving = track(np.tile([0.15, 0, 0.025], (FRAMES, 1))), track(sliding())
-    both = {
-        name: np.concatenate([getattr(resting, name), getattr(moving, name)], axis=1)
-        for name in ("sizes", "poses", "covariances", "pixels")
-    }
-    both["pixels"][:, :, 1] = [40, 300]
-    chances = np.zeros((FRAMES, 2, 4))
-    chances[..., 1] = 1.0
-    film = replace(moving, names=["half_hidden", "box_1"], types=["box"] * 2, kinds=np.array([1, 1]),
-                   states=[["still", "moving"]] * FRAMES, parent_probability=chances, **both)  # fmt: skip
+    film = together(resting, moving, states=[["still", "moving"]] * FRAMES)
+    film.pixels[:, :, 1] = [40, 300]
     seen = motion_of_track(film)
     inside = seen.poses[:, -1, 0, 3] > 0.15 - 0.08 + materials.ENTERED
     assert inside[-1] and not inside[0] and np.isfinite(seen.poses[:, -1]).all()
@@ -161,20 +168,35 @@ def test_what_rested_and_is_struck_by_what_moves_is_kept():
     struck[:, 0] = 0.23 + 0.9 * STEP * np.maximum(np.arange(FRAMES) - 5, 0)
 
     def both(distance):
-        one, other = track(mover), track(struck + [distance, 0, 0])
-        joined = {
-            name: np.concatenate([getattr(one, name), getattr(other, name)], axis=1)
-            for name in ("sizes", "poses", "covariances", "pixels")
-        }
-        chances = np.zeros((FRAMES, 2, 4))
-        chances[..., 1] = 1.0
-        return replace(
-            one, names=["box_1", "box_2"], types=["box"] * 2, kinds=np.ones(2), states=[["moving"] * 2] * FRAMES,
-            parent_probability=chances, **joined,
-        )  # fmt: skip
+        return together(track(mover), track(struck + [distance, 0, 0]))
 
     assert motion_of_track(both(0.0)).names == ("box_1", "box_2")
     assert motion_of_track(both(0.1)).names == ("box_1",)
+
+
+@pytest.mark.slow
+def test_things_that_never_meet_have_a_friction_each(tmp_path):
+    """Told as of one material, frictions of .15 and .45 were not told at all, and of .2 and .3 as .17 to .37."""
+    (tmp_path / "track.json").write_text(json.dumps({"objects": []}))
+    film = together(track(sliding(0.2, 0.7)), track(sliding(0.4, 1.0) + [0.0, 0.3, 0.0]))
+    lines = materials_to_folder(film, tmp_path, 0, "test")
+    told = json.loads((tmp_path / "track.json").read_text())["parameters"]
+    for name, friction in (("friction.box_1", 0.2), ("friction.box_2", 0.4)):
+        low, high = told[name]["interval"]
+        assert low < friction < high < 1.2 * low and any(line.startswith(name.replace(".", " ")) for line in lines)
+    assert told["friction"] == {"of": told["friction"]["of"], **told[f"friction.{told['friction']['of']}"]}
+    with np.load(tmp_path / "dynamics.npz") as file:
+        assert {"friction.box_1", "error.impact.box_2", "velocity.box_2"} < set(file.files)
+
+
+def test_what_comes_near_is_one_motion_and_what_does_not_is_another():
+    miss = motion_of_track(together(track(sliding()), track(sliding() + [0.0, 0.09, 0.0])))
+    assert [part.names for part in miss.apart()] == [("box_1",), ("box_2",)]
+    near = motion_of_track(together(track(sliding()), track(sliding() + [0.0, 0.072, 0.0])))
+    assert [part.names for part in near.apart()] == [("box_1", "box_2")]
+    alone = miss.apart()[1]
+    assert [body.name for body in alone.matter.bodies] == ["floor", "box_2"]
+    np.testing.assert_array_equal(alone.poses, miss.poses[:, 1:])
 
 
 def test_a_film_that_ends_amid_a_slide_says_where_it_will_come_to_rest(tmp_path):
