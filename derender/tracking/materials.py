@@ -43,8 +43,7 @@ def motion_of_track(track: Track) -> Motion:
     """
     back = inverse(track.views)  # each camera to the first
     everywhere = back[:, None] @ track.poses
-    handled = _held(track, everywhere[..., :3, 3])
-    handled |= _pushed(track, everywhere[..., :3, 3], handled)
+    handled = _handled(track, everywhere[..., :3, 3])
     names: list[str] = []
     chosen: list[int] = []
     bodies: list[Body] = []
@@ -92,45 +91,30 @@ def _entered(bodies: list[Body], poses: np.ndarray, shown: np.ndarray) -> np.nda
     return found
 
 
-def _held(track: Track, centres: np.ndarray) -> set[str]:
-    """Return the names of the things that a hand holds for a while. centres : (T, N, 3), first camera's axes."""
+def _handled(track: Track, centres: np.ndarray) -> set[str]:
+    """Return the names of the things that a hand holds for a while, or something unseen sets in motion, or that such a
+    thing has struck. centres : (T, N, 3), first camera's axes."""
     step, gravity = float(np.diff(track.times).mean()), np.asarray(track.gravity, float)
+    weight = np.linalg.norm(gravity)
     apart = max(round(APART / step), 1)
-    middle = centres[apart:-apart]
-    bend = (centres[2 * apart :] - 2 * middle + centres[: -2 * apart]) / (apart * step) ** 2
-    parents = track.parents()
-    held = set()
-    for k, name in enumerate(track.names):
-        flying = [t for t in range(len(bend)) if all(parents[t + i][k] is None for i in range(2 * apart + 1))]
-        off = np.linalg.norm(bend[flying, k] - gravity, axis=-1)
-        off = off[np.isfinite(off)]
-        if len(off) >= HELD_FRAMES and np.quantile(off, QUIETEST) > HELD * np.linalg.norm(gravity):
-            held.add(name)
-    return held
-
-
-def _pushed(track: Track, centres: np.ndarray, handled: set[str]) -> set[str]:
-    """Return the names of the things that something unseen sets in motion, or what such a thing has struck."""
-    gravity = np.asarray(track.gravity, float)
-    if track.floor is None or -track.floor[:3, 2] @ gravity < LEVEL_FLOOR * np.linalg.norm(gravity):
-        return set()
+    bend = (centres[2 * apart :] - 2 * centres[apart:-apart] + centres[: -2 * apart]) / (apart * step) ** 2
+    in_air = np.array([[parent is None for parent in row] for row in track.parents()])
+    off = np.linalg.norm(bend - gravity, axis=-1)
+    flies = np.array([in_air[t : t + 2 * apart + 1].all(axis=0) for t in range(len(off))], bool).reshape(off.shape)
     shift = np.linalg.norm(np.nan_to_num(centres - centres[0]), axis=-1)
     first = [int(np.argmax(far > BEGUN)) for far in shift.T]  # 0: never
     reach = 0.5 * np.linalg.norm(track.sizes[-1], axis=-1)
-    pushed: set[str] = set()
+    level = track.floor is not None and -track.floor[:3, 2] @ gravity >= LEVEL_FLOOR * weight
+    handled: set[str] = set()
     for k in sorted(range(len(first)), key=lambda k: first[k]):
-        if first[k] <= RESTED_FRAMES or track.names[k] in handled:
-            continue
+        away = off[flies[:, k] & np.isfinite(off[:, k]), k]
+        held = len(away) >= HELD_FRAMES and np.quantile(away, QUIETEST) > HELD * weight
         near = centres[first[k] - 1 : first[k] + 1]  # it was struck between these two frames
-        apart = np.linalg.norm(near - near[:, k : k + 1], axis=-1).min(axis=0)
-        if not any(
-            0 < first[j] < first[k]
-            and track.names[j] not in handled | pushed
-            and apart[j] < reach[j] + reach[k] + REACH
-            for j in range(len(first))
-        ):
-            pushed.add(track.names[k])
-    return pushed
+        gaps = np.linalg.norm(near - near[:, k : k + 1], axis=-1).min(axis=0, initial=np.inf) - reach - reach[k] - REACH
+        earlier = [j for j in range(len(first)) if 0 < first[j] < first[k] and track.names[j] not in handled]
+        if held or (level and first[k] > RESTED_FRAMES and not any(gaps[j] < 0 for j in earlier)):
+            handled.add(track.names[k])
+    return handled
 
 
 def materials_to_folder(
