@@ -13,7 +13,16 @@ from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.statics import Entered, deep_overlaps, find_contacts, widest_gap
 from derender.scene.contacts.kinds import ON_A_FACE
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex, floating, nearest_contact, vertex_of
+from derender.scene.graph import (
+    ROOT,
+    STANDARD_GRAVITY,
+    Contact,
+    SceneGraph,
+    Vertex,
+    floating,
+    nearest_contact,
+    vertex_of,
+)
 from derender.scene.pose import inverse
 from derender.scene.shapes.base import Body
 
@@ -240,7 +249,8 @@ def settled_graph(graph: SceneGraph, trajectory: Trajectory, matter: Matter) -> 
     """Return the graph with the poses at the end of a trajectory, its contacts found anew, lower bodies first.
 
     A body keeps its parent where that still bears it, and otherwise hangs on the highest body that does, or on the
-    root at the pose it has. Bodies that were removed are left out; those that were added are objects like others.
+    root at the pose it has. Bodies that were removed are left out; those that were added are objects like others; and
+    a floor that was tilted stays so.
     """
     end = at_rest(trajectory, matter)
     poses = {**graph.poses(), **{body.name: body.pose for body in end.bodies}}
@@ -265,7 +275,14 @@ def settled_graph(graph: SceneGraph, trajectory: Trajectory, matter: Matter) -> 
                 new = replace(vertex, parent=parent, supports=others, contact=contact)
                 break
         placed[vertex.name] = new
-    return replace(graph, vertices=tuple(_at_rest(vertex) for vertex in placed.values()), constraints=())
+    pull = from_camera[:3, :3] @ matter.gravity / STANDARD_GRAVITY
+    tilted = not np.allclose(pull, graph.gravity, atol=ROUNDING)
+    return replace(
+        graph,
+        vertices=tuple(_at_rest(vertex) for vertex in placed.values()),
+        constraints=(),
+        gravity=tuple(pull.tolist()) if tilted else graph.gravity,
+    )
 
 
 def _at_rest(vertex: Vertex) -> Vertex:

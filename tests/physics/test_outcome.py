@@ -206,6 +206,17 @@ def test_what_is_added_can_be_pushed_and_is_part_of_the_settled_scene(graph):
         np.testing.assert_allclose(settled.body("new").size(), outcome.trajectory.sizes[-1])
 
 
+def test_a_scene_that_settled_on_a_tilted_floor_is_written_with_it(graph):
+    """It was written on a level one, where it stands whatever it did."""
+    outcome = simulate_scene(graph, tilt="15deg:+y", early=False)
+    settled = settled_graph(graph, outcome.trajectory, outcome.matter)
+    margins = [simulate_scene(each, margin=True).margin for each in (settled, graph)]
+    assert margins[0] == pytest.approx(simulate_scene(graph, tilt="15deg:+y", margin=True).margin, abs=2e-3)
+    assert margins[0] < 0.7 * margins[1]
+    level = simulate_scene(graph, early=False)
+    assert settled_graph(graph, level.trajectory, level.matter).gravity == graph.gravity
+
+
 def test_a_run_too_short_to_tell_says_so():
     """A block in the air stands for a hundredth of a second."""
     hangs = matter(FLOOR, cube("a", 0, 0.3))
