@@ -14,8 +14,9 @@ from derender.atomic import ROOM, make_folder
 from derender.camera.depth_file import DepthImage, Reading
 from derender.camera.intrinsics import Camera
 from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
-from derender.camera.repeats import Enlargement, as_made, enlargement_of
+from derender.camera.repeats import Enlargement
 from derender.compilation.threads import import_in_background, interruptible
+from derender.detection.scattered import Scattering, as_made, smaller_image_of
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, Idle, at_fault, idle_lines
 from derender.report.result_folder import Outcome, write_results
@@ -244,13 +245,20 @@ def infer_image(
     Returns the posterior, and the likelihood under which it explains the image. The one state outside is the folder of
     checkpoints, where `options` name one.
     """
-    enlargement = enlargement_of(seen.depth)
-    if enlargement is not None:
-        warn(enlargement.told())
-        own = seen._replace(depth=enlargement.reduced(seen.depth), camera=enlargement.camera(seen.camera))
-        posterior, likelihood = infer_image(own, document, options, progress, warn, command)
-        fixed = {**likelihood.values, **in_its_pixels(likelihood.fixed, enlargement)}
-        return as_enlarged(posterior, seen.camera, enlargement), replace(likelihood, values=fixed)
+    smaller = smaller_image_of(seen.depth)
+    if smaller is None:
+        return _inferred(seen, document, options, progress, warn, command)
+    warn(smaller.told())
+    own = seen._replace(depth=smaller.reduced(seen.depth), camera=smaller.camera(seen.camera))
+    posterior, likelihood = _inferred(own, document, options, progress, warn, command)
+    fixed = {**likelihood.values, **in_its_pixels(likelihood.fixed, smaller)}
+    return as_enlarged(posterior, seen.camera, smaller), replace(likelihood, values=fixed)
+
+
+def _inferred(
+    seen: DepthImage, document: Document | None, options: Options, progress: Progress | None, warn: Say, command: str
+) -> tuple[Posterior, LikelihoodPrior]:
+    """As `infer_image`, of an image that is taken as it is."""
     must_stand = options.assume_stable
     if document is not None and getattr(document.prior, "constraints", None):
         from derender.physics.constraint import without_stands
@@ -281,7 +289,7 @@ def infer_image(
     return replace(posterior, seed=options.seed, meta=meta), likelihood
 
 
-def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement) -> Posterior:
+def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement | Scattering) -> Posterior:
     """Return the posterior of a smaller image as that of the image, of this camera, that was made of it."""
     told, meta = posterior.explanation, {**posterior.meta, "camera": camera.to_dict()}
     if told is not None:
@@ -292,7 +300,7 @@ def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement) 
     return replace(posterior, explanation=told, meta=meta)
 
 
-def in_its_pixels(numbers: Mapping[str, Any], enlargement: Enlargement) -> dict[str, Any]:
+def in_its_pixels(numbers: Mapping[str, Any], enlargement: Enlargement | Scattering) -> dict[str, Any]:
     """Return a likelihood's numbers given a smaller image with those in pixels in those of the image made of it."""
     return {**numbers, **{name: enlargement.ratio * numbers[name] for name in IN_PIXELS if name in numbers}}
 

@@ -69,12 +69,6 @@ def enlargement_of(depth: np.ndarray) -> Enlargement | None:
     return found if found.ratio > 1.0 else None
 
 
-def as_made(depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """Return the image that one (H, W) was made of, with its camera; one that was not enlarged as it is."""
-    found = enlargement_of(depth)
-    return (depth, camera) if found is None else (found.reduced(depth), found.camera(camera))
-
-
 def repeats_of(image: np.ndarray) -> Repeats:
     """Return the Repeats among the rows of an image (n, m): each its own where they do not repeat in equal steps."""
     count = len(image)

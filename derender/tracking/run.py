@@ -12,7 +12,7 @@ import numpy as np
 from derender.atomic import ROOM, make_folder
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
-from derender.camera.repeats import enlargement_of
+from derender.detection.scattered import smaller_image_of
 from derender.errors import DerenderError
 from derender.structures.options import Options
 from derender.tracking.film import (
@@ -96,7 +96,7 @@ def track_to_folder(
     started = time.monotonic()
     coming = watched(sources, camera, depth_scale)
     film = first_of(coming, sources, camera, fps) if watch else read_film(sources, camera, depth_scale, fps)
-    as_it_came, enlargement = film.frames[0], enlargement_of(film.frames[0])
+    as_it_came, enlargement = film.frames[0], smaller_image_of(film.frames[0])
     if enlargement is not None:
         film = film._replace(frames=[enlargement.reduced(frame) for frame in film.frames],
                              camera=enlargement.camera(film.camera))  # fmt: skip
