@@ -96,6 +96,16 @@ def test_what_the_likeliest_structure_leaves_out_is_expected_nevertheless():
     assert not chain_doubts(posterior, [])
 
 
+def test_what_was_rather_missed_than_found_is_not_trusted():
+    """Of cartons from which few pixels returned "nothing" was told at .07, and trusted."""
+    posterior = seen_by_a_sensor(0.0)
+    posterior.meta["missed"] = 0.93
+    (doubt,) = chain_doubts(posterior, [])
+    assert doubt.serious and "missed with a probability of 0.93" in doubt.words
+    posterior.meta["missed"] = 0.4
+    assert not chain_doubts(posterior, [])
+
+
 @pytest.mark.parametrize(
     "count, likely, expected", [(1, 0.08, False), (0, 0.37, False), (0, 0.45, True), (1, 0.35, False), (5, 0.09, True)]
 )
