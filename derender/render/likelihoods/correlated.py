@@ -28,6 +28,7 @@ from derender.render.likelihoods.pixelwise import (
 )
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # (rows up, columns to the left) of the earlier ones
+NEAREST = 4  # of them; where none of these returned a pixel tells of its surface anew
 MEMBERS = (np.arange(64)[:, None] >> np.arange(6)) % 2 == 1  # (64, 6), which of them returned in each set
 PLACES = np.array([(0, 0), *NEIGHBOURS], float)
 # Sets that tell how a plane goes on: not all of one row, and one more than a plane has numbers, or the noise does.
@@ -53,7 +54,8 @@ class Correlated(Likelihood):
         (1 - outlier) Norm(m, sigma + sigma_growth m^2) + outlier Uniform(near, far).
 
     It goes on with probability `shared` after neighbours (the one to the left and the one above) that show their
-    surfaces, with `clump` after such that do not, by the probability of that given their depths. So of many pixels few
+    surfaces, with `clump` after such that do not, by the probability of that given their depths; and after diagonal
+    ones alone, for beside holes pixels share their noise too. So of many pixels few
     tell of a surface; and what solids are not as they are modelled costs once where it begins and little where it goes
     on, yet something at each pixel.
 
@@ -102,7 +104,7 @@ class Correlated(Likelihood):
     of_field = ("sigma", "sigma_growth", "white", "reach", "reach_down", "outlier", "near", "far")
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-        """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""
+        """Return (H, W) the density of each pixel that goes on; 0 where none of the nearest four returned."""
         return self.going_on(observed, values, (0, 0))[0]
 
     def going_on(
@@ -125,10 +127,10 @@ class Correlated(Likelihood):
         seen, anew = value > 0.0, surface + outliers
         height, width = depth.shape
         both = np.pad([np.where(seen, surface / anew, 0.0), seen], ((0, 0), (1, 1), (1, 1)))
-        before = [both[:, 1 - up : 1 - up + height, 1 - left : 1 - left + width] for up, left in NEIGHBOURS[:2]]
-        shows, count = np.sum(before, axis=0)
+        before = [both[:, 1 - up : 1 - up + height, 1 - left : 1 - left + width] for up, left in NEIGHBOURS[:NEAREST]]
+        shows, count = np.sum(before[:2], axis=0)
         goes_on = values["clump"] + (values["shared"] - values["clump"]) * shows / np.maximum(count, 1.0)
-        return seen, value, model, spread, anew, np.where(count > 0, goes_on, 0.0)
+        return seen, value, model, spread, anew, np.where(np.any([there for _, there in before], axis=0), goes_on, 0.0)
 
     def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
@@ -193,6 +195,15 @@ def predicted(depths, row, column, weights, deviations, step, growth):
 
 
 @njit(cache=True, nogil=True)
+def any_nearest(depths, row, column):
+    """Whether one of the nearest earlier pixels returned; the arguments as of `predicted`."""
+    for k in range(NEAREST):
+        if depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]] > 0.0:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
 def forget(told, weights, fading):
     """Forget a share of what rows above told of the weights (6,) of innovations, and find those that the rest tells.
 
@@ -249,8 +260,8 @@ def go_on(depths, numbers, weights, deviations, density, below):
     for row in range(density.shape[0]):
         forget(told, shares, fading)
         for column in range(density.shape[1]):
-            here, west, north = depths[row + 2, column + 2], depths[row + 2, column + 1], depths[row + 1, column + 2]
-            if not (here > 0.0 and (west > 0.0 or north > 0.0)):
+            here = depths[row + 2, column + 2]
+            if not (here > 0.0 and any_nearest(depths, row + 2, column + 2)):
                 continue
             mean, off = predicted(depths, row + 2, column + 2, weights, deviations, step, growth)
             inverse = 1.0 / off
@@ -262,7 +273,7 @@ def go_on(depths, numbers, weights, deviations, density, below):
             narrow = wide ** (WIDER * WIDER)
             total = (1.0 - alone) / math.sqrt(2.0 * math.pi) * ((1.0 - tail) * narrow + tail * wide / WIDER) * inverse
             heavy, nearer, count = 0.0, 0.0, 0
-            for k in range(4):
+            for k in range(NEAREST):
                 there, sharply = (
                     depths[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]],
                     sharp[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]],
@@ -301,13 +312,14 @@ def draw(rng, result, model, numbers, weights, deviations):
                     count, before = count + 1, before + shows[row - up, column - back]
             mean, off = predicted(result, row, column, weights, deviations, step, step_growth)
             carry = carried(left, row, column, shares)
-            if not count or rng.random() >= clump + (shared - clump) * before / count:
+            follows = any_nearest(result, row, column)
+            if not follows or rng.random() >= clump + (shared - clump) * before / max(count, 1):
                 drawn = rng.uniform(near, far) if rng.random() < outlier else m + spread * rng.standard_normal()
             elif rng.random() >= alone:
                 drawn = mean + off * (carry + rng.standard_normal() * (WIDER if rng.random() < tail else 1.0))
             else:
                 some = 0
-                for up, back in NEIGHBOURS[:4]:  # any of those that returned, as probably as another
+                for up, back in NEIGHBOURS[:NEAREST]:  # any of those that returned, as probably as another
                     if result[row - up, column - back] > 0.0:
                         some += 1
                         if rng.random() * some < 1.0:
@@ -315,7 +327,7 @@ def draw(rng, result, model, numbers, weights, deviations):
                 drawn = there + rng.standard_t(3.0) * WIDER * (step + step_growth * there * there)
             if drawn > 0.0:
                 result[row, column] = drawn
-                if count:
+                if follows:
                     learn(told, left, row, column, (drawn - mean) / off, carry)
                 surface = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi))
                 surface *= math.exp(-0.5 * ((drawn - m) / spread) ** 2)
