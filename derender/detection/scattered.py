@@ -19,10 +19,10 @@ from derender.detection.pyramid import STEP, plane_at_origin, reduced_by
 from derender.results.fit import scatter
 
 # Pixels about a return in which is counted how many others are; their share, at the median return, up to which returns
-# left by chance hang together nowhere (percolation, from .593 on); and that up to which a lattice with lines left out
-# does not where it is searched at half its size, or all of it. (Of 150 real frames .95 at least; but for two that were
-# put into a colour image so: .6.)
-ABOUT, SCATTERED, LINES, HALF = 4, 0.593, 0.8, 2
+# left by chance hang together nowhere (percolation, from .593 on), and a lattice with lines left out does not: where
+# the image is searched at half its size, or all of it. Of larger ones a pixel stands for a block, of which a fifth has
+# to return: this share is enough. (Of 150 real frames it is .95 at least; but for two put into a colour image: .6.)
+ABOUT, SCATTERED, LINES, HALF, ENOUGH = 4, 0.593, 0.8, 2, 0.3
 LEAST = 500  # returns that tell how they lie
 ALONG = 0.92  # the same of those in its row, and in its column: rows that are scanned with gaps hang together
 # Share of a return's eight neighbours that returned against that of all about it: of returns left by chance .98 to
@@ -92,7 +92,7 @@ def scattering_of(depth: np.ndarray) -> Scattering | None:
         return None
     beside = total(seen.astype(float), 1)[seen].mean() - 1.0
     by_chance = CHANCE[0] < beside / 8 / ((count.mean() - 1.0) / (pixels - 1)) < CHANCE[1]
-    if share > SCATTERED and (by_chance or reduced_by(depth, WIDEST) > HALF):
+    if share > (ENOUGH if reduced_by(depth, WIDEST) > HALF else SCATTERED if by_chance else LINES):
         return None
     found = Scattering(cells_over(seen, share**-0.5))
     return found if not by_chance or shares_noise(found.reduced(depth)) else None

@@ -92,7 +92,9 @@ LEAST_FLOOR = 0.2
 # is held in portrait; or looked at straight on (cosine) from so many metres or more: few cameras hang so high.
 LEAST_AS_WALL, SIDEWAYS, FACED, OVERHEAD = 0.6, 0.6, 0.95, 1.5
 # Solids that the image does not bear out.
-MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without return; times the share elsewhere
+# Share of a solid's pixels without return; times the share elsewhere; and the share from which on it is told, but where
+# as few return elsewhere.
+MOST_MISSING, MORE_MISSING, NEARLY_ALL = 0.5, 2.0, 0.9
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
 FEW_PIXELS = 12  # of a solid say nothing of it as a whole
 FILLING = 0.5  # share of the image that one solid may fill
@@ -311,7 +313,8 @@ def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         share_cut = cut / max(outline + cut, 1)
         told = []
-        if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
+        most = max(NEARLY_ALL, 0.5 * (1.0 + elsewhere))  # half as many return as elsewhere
+        if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, most)):
             told.append((f"nothing returned from {percent(missing)} of {name}, {region.where}", True))
         elif fitting < LEAST_FITTING:
             words = f"{name} explains {percent(fitting)} of what is seen where it should be, {region.where}"

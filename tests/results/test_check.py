@@ -126,6 +126,12 @@ def test_a_ghost_where_nothing_returned_is_told():
     assert doubt.serious and doubt.words.startswith("nothing returned from 100 % of right, right of the middle")
 
 
+def test_where_few_pixels_return_everywhere_a_solid_that_returns_as_few_is_none():
+    """Of depths put into an image three times as large "nothing returned from 90 %" of a box, and of all else."""
+    seen = np.where(np.random.default_rng(1).random(image(TRUE).shape) < 0.09, image(TRUE), np.nan)
+    assert not [doubt for doubt in doubts_of(TRUE, seen) if doubt.words.startswith("nothing returned")]
+
+
 def test_noise_that_hides_a_solid_is_told():
     """The likelihood that explains a missed solid away is far above what flat patches show."""
     words = [d.words for d in doubts_of(TRUE.remove("right"), image(TRUE), {**LIKELIHOOD, "sigma": 0.06})]
