@@ -258,29 +258,6 @@ def from_search(best: Refined, pool: list[tuple[State, float]], energy: float, t
     return near
 
 
-def met_one_by_one(rng: np.random.Generator, best: Refined, states: list[State], rules: Rules) -> list[Weighed]:
-    """Return the Weighed of the best with one solid of another kind, or leaning or standing, as one of the states that
-    the search met has it: of two in which these differ, the one may be right about this and the other about that. Where
-    pixels are independent none of 49 was likelier: what leads there is found one by one already."""
-    names, tasks = names_of(best.state), []
-    met = set()
-    for state in states if best.sensor.worth < 1.0 else []:
-        for k, name in enumerate(matched_names(state, best.state, names)):
-            if name not in names:
-                continue
-            new = best.state.swapped(names.index(name), state[k])
-            if discrete_part(new) not in met | {discrete_part(best.state)}:
-                met.add(discrete_part(new))
-                tasks.append(partial(of_one_change, best=best, state=new, i=names.index(name), rules=rules))
-    return [found for found in in_threads(rng, tasks) if found is not None]
-
-
-def of_one_change(rng: np.random.Generator, best: Refined, state: State, i: int, rules: Rules) -> Weighed | None:
-    """Return the Weighed of a state in which solid `i` alone is otherwise; None where that is pruned."""
-    trial = tried(rng, best, state, [i], rules) if still_bears(best, state, i) else None
-    return None if trial is None else of_block(rng, Block(trial, [i]), Block(best, [i]))
-
-
 def weighed_whole(
     rng: np.random.Generator, best: Refined, states: list[State], rules: Rules, steps: int
 ) -> list[Weighed]:

@@ -24,7 +24,6 @@ from derender.structures.alternatives import (
     climbed_higher,
     combinations,
     from_search,
-    met_one_by_one,
     of_likeliest_shapes,
     of_one_solid,
     weighed_whole,
@@ -180,7 +179,6 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
         higher = climbed_higher(rng, best)
         former, others = one_solid_each(rng, higher, lowered(others, best, higher), rules, shapes)
         near = [] if number else from_search(former, pool, energy, settings.temper)
-        others += met_one_by_one(rng, former, near, rules)
         near += additions(rng, former, settings)  # with those of the search: the integral over the best is made once
         others += weighed_whole(rng, former, near, rules, QUICK)
         others += [*merges(rng, former, rules), *put_on(rng, former, rules)]
