@@ -15,7 +15,7 @@ from derender.detection.search.observation import CORRELATED, Observation, Suppo
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn
 from derender.errors import DerenderError
-from derender.results.fit import FLOOR
+from derender.results.fit import FLOOR, STEP, UNEXPLAINED
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import misleads
 from derender.sampling.diagnostics import summary, unwrap
@@ -37,6 +37,7 @@ MOST_LOST, EDGE = 0.05, 1
 # Of the solids, floors too, how many are left at most where nothing but chains that disagree speaks for a sensor: of
 # ten in a heap two that touch may be taken as one.
 FEWER = 0.75
+SEAM = 12  # pixels beside which a free-form thing goes on from a solid, from which on that may be one
 
 Progress = Callable[[float, str], None]
 
@@ -72,7 +73,9 @@ def infer_structure(
         return in_metres(infer_structure(case.depth / unit, camera, options, rng, progress), unit)
     found = found_in(rng, case, say)
     said = options.prior is not None or case.library or case.frames or found.meta["interrupted"]
-    if said or found.meta["correlation"] > CORRELATED or not (found.meta["spots"] or disagrees(found.best_part)):
+    if said or found.meta["correlation"] > CORRELATED:
+        return found
+    if not (found.meta["spots"] or disagrees(found.best_part) or goes_on(found, case.depth)):
         return found
     say(0.0, "searching again, as for what a sensor shows")
     try:
@@ -104,6 +107,22 @@ def disagrees(part: StructurePosterior) -> bool:
         return False
     told = [unwrap(draws, period) for draws, period in zip(np.moveaxis(part.values, -1, 0), part.periods, strict=True)]
     return any(misleads({**summary(draws), "draws": draws}) for draws in told)
+
+
+def goes_on(found: Posterior, depth: np.ndarray) -> bool:
+    """Whether a free-form thing goes on from a solid without a jump in the depth (H, W): it may be a face that a box
+    seen with a wrong focal length does not explain."""
+    assert found.explanation is not None, "it tells what each pixel shows"
+    label, names = found.explanation.label, found.explanation.names
+    graph = found.best_graph()
+    free = np.array([graph.vertex(name).shape == "thing" for name in names] + [False] * -UNEXPLAINED)  # no object: < 0
+    thing, solid = free[label], (label >= 0) & ~free[label]
+    meet = 0
+    for axis in (0, 1):
+        here, there = ((slice(None),) * axis + (part,) for part in (slice(-1), slice(1, None)))
+        one = (thing[here] & solid[there]) | (solid[here] & thing[there])
+        meet += int((one & (np.abs(depth[there] - depth[here]) < STEP * depth[here])).sum())
+    return meet >= SEAM
 
 
 def lost(found: Posterior, other: Posterior) -> float:
