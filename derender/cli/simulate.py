@@ -52,7 +52,12 @@ class Percent(click.ParamType):
     default=50,
     help="Draws of a posterior, a prior or the jitter to simulate for P(stable).",
 )
-@click.option("--until", type=Percent(), metavar="PERCENT", help="Draw until P(stable) is known to this error.")
+@click.option(
+    "--until",
+    type=Percent(),
+    metavar="PERCENT",
+    help="Draw until P(stable) is known to this error, or no draw is left.",
+)
 @click.option(
     "--engine",
     type=click.Choice(["mujoco", "statics", "both"]),
@@ -195,7 +200,7 @@ def _one(source: Found, what, ask, margin: bool, forces: bool, talk: Talk):
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
     best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
     assumed = assumptions(best)
-    runs = [best]
+    runs, limit = [best], 1
     if ask["until"] and not (source.uncertain or what.jitter):
         talk.warn("--until says nothing here: a scene without jitter is the same in every draw")
     if (source.uncertain or what.jitter) and ask["draws"]:
@@ -206,7 +211,10 @@ def _one(source: Found, what, ask, margin: bool, forces: bool, talk: Talk):
         assumed += assumed_of_draws(runs, what)
     for sentence in assumed:
         talk.warn(sentence)
-    return summary_of(best, runs, assumed, source.missed), best
+    found = summary_of(best, runs, assumed, source.missed)
+    if len(runs) < limit and not (ask["until"] and found["p_stable_error"] <= ask["until"]):
+        talk.warn(f"the posterior holds no more than {len(runs)} draws: infer with more --draws to know better")
+    return found, best
 
 
 def _table(

@@ -236,7 +236,8 @@ class Posterior(kept.Posterior):
 
         event : what a `derender.physics.outcome.Outcome` must be like; or a verdict ("stands", "settles", "falls"); or
             the name of an object that moves.
-        draws : to simulate. until : instead, as many as it takes to a standard error no greater than this.
+        draws : to simulate. until : instead, as many as it takes to a standard error no greater than this. Neither are
+            more than the posterior holds.
         The others are those of `derender.simulate`.
 
         Of what was missed, with probability `missed`, no draw tells: half of that counts as the event.

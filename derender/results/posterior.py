@@ -33,7 +33,6 @@ from derender.scene.shapes import shapes
 FORMAT = 2  # of posterior.npz
 TOLD = ("addresses", "weight", "weight_error", "weight_interval", "periods", "extras")  # of each part, in its header
 DRAWN = ("values", "log_prior", "log_likelihood", "root_pose")  # of each draw of a part, the last where it is unknown
-AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
 SAME = 1e-9  # metres and radians by which frames that are the same differ, by rounding
 NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
@@ -230,21 +229,26 @@ class Posterior:
         No draw comes a second time before all of its structure have come once: drawn with replacement they would say
         less than they hold.
         """
+        return list(self._drawn(rng, count, again=True))
+
+    def each_graph(self, rng: np.random.Generator, count: int) -> Iterator[SceneGraph]:
+        """Yield scenes as `graphs` draws them, at most so many: no more where all draws of a structure have come once,
+        unless it has one alone. What came again would tell nothing, and be counted as if it did."""
+        return self._drawn(rng, count, again=False)
+
+    def _drawn(self, rng: np.random.Generator, count: int, again: bool) -> Iterator[SceneGraph]:
         weights = np.array([part.weight for part in self.parts])
         chosen = rng.choice(len(self.parts), size=count, p=weights / weights.sum())
         order = [rng.permutation(part.log_density.size) for part in self.parts]
-        scenes, taken = [], [0] * len(self.parts)
+        taken = [0] * len(self.parts)
         for number in chosen:
-            place = order[number][taken[number] % len(order[number])]
+            most = len(order[number])
+            if not again and taken[number] == most > 1:
+                return
+            place = order[number][taken[number] % most]
             taken[number] += 1
             chain, draw = np.unravel_index(place, self.parts[number].log_density.shape)
-            scenes.append(self.parts[number].graph_at(int(chain), int(draw)))
-        return scenes
-
-    def each_graph(self, rng: np.random.Generator, count: int) -> Iterator[SceneGraph]:
-        """Yield so many scenes as `graphs` draws them, AT_ONCE of which are built at a time."""
-        for first in range(0, count, AT_ONCE):
-            yield from self.graphs(rng, min(AT_ONCE, count - first))
+            yield self.parts[number].graph_at(int(chain), int(draw))
 
     def save(self, path: str | Path) -> None:
         """Write an .npz, whole or not at all."""

@@ -100,6 +100,19 @@ def test_each_draw_is_taken_before_one_is_taken_again():
     assert len(set(said[:count])) == count and sorted(said[:count]) == sorted(said[count:])
 
 
+def test_draws_that_would_come_again_are_not_counted_as_more():
+    """Of 100,000 draws of four hundred P(stable) was said to be known to .1 %."""
+    _, one = part()
+    count = one.log_density.size
+    assert len(list(Posterior((one,)).each_graph(np.random.default_rng(0), 1000))) == count > 1
+    single = one.at(
+        (np.zeros((1, 1), int), np.zeros((1, 1), int))
+    )  # of the likeliest scene alone: for what is jittered
+    assert len(list(Posterior((single,)).each_graph(np.random.default_rng(0), 50))) == 50
+    other = Posterior((one.scaled(0.9), single.scaled(0.1)))
+    assert count <= len(list(other.each_graph(np.random.default_rng(0), 1000))) < 2 * count
+
+
 def test_a_posterior_is_one_line_where_it_is_printed():
     _, one = part()
     text = repr(Posterior((one,)))
