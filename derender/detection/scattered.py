@@ -31,7 +31,9 @@ CHANCE = 0.97, 1.05
 # Deviation of depths that are bent between neighbours against that between those twice as far apart, where they share
 # noise: .94 and more of independent noise, .32 to .8 of any other.
 SHARED = 0.88
-FILLED, WIDER = 0.85, 1.1  # share of the cells about returns that have one; times that they are wider, until so many do
+# Of nine cells about one with a return so many have one too, but about a share of them: cells as far apart as a
+# lattice's lines are left empty in stripes, one of which hid a sphere. They are so much wider until that is so.
+FILLED, FEW, WIDER = 7, 0.2, 1.05
 SURROUNDING = 1.5  # cells about a cell's middle by whose returns is told how its surface slopes
 FEWEST = 4  # returns that tell it
 
@@ -105,7 +107,7 @@ def cells_over(seen: np.ndarray, ratio: float) -> Enlargement:
         cells = Enlargement(*(cells_of(side, ratio) for side in seen.shape))
         filled = np.zeros([len(each.kept) for each in cells], bool)
         filled[cells.rows.source[rows], cells.columns.source[columns]] = True
-        if np.median(total(filled.astype(float), 1)[filled]) >= FILLED * 9 or min(filled.shape) < 2 * ABOUT:
+        if np.quantile(total(filled.astype(float), 1)[filled], FEW) >= FILLED or min(filled.shape) < 2 * ABOUT:
             return cells
         ratio *= WIDER
 

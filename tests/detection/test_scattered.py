@@ -33,10 +33,10 @@ def test_lattice_of_returns_is_taken_as_a_smaller_image_that_sees_the_same(ratio
     exact = floor_and_block()
     found = scattering_of(put_into(exact, ratio))
     small, camera = found.reduced(exact), found.camera(CAMERA)
-    assert found.ratio == pytest.approx(ratio, rel=0.12)
+    assert 0.95 * ratio < found.ratio < ratio + 0.7
     assert small.shape == (camera.height, camera.width)
     thin = found.reduced(put_into(exact, ratio))
-    assert np.isfinite(thin).mean() > 0.75
+    assert np.isfinite(thin).mean() > 0.8
     rows = (
         np.arange(camera.height) - camera.cy
     ) / camera.fy * CAMERA.fy + CAMERA.cy  # the same rays in the large image
