@@ -32,8 +32,9 @@ CHANCE = 0.97, 1.05
 # noise: .94 and more of independent noise, .32 to .8 of any other.
 SHARED = 0.88
 # Of nine cells about one with a return so many have one too, but about a share of them: cells as far apart as a
-# lattice's lines are left empty in stripes, one of which hid a sphere. They are so much wider until that is so.
-FILLED, FEW, WIDER = 7, 0.2, 1.05
+# lattice's lines are left empty in stripes, one of which hid a sphere. They are so much wider until that is so, or so
+# many times as wide in all, where returns are patchy besides. (Of returns left by chance 1.4 times, of lattices up to 1.4.)
+FILLED, FEW, WIDER, WIDEST_CELLS = 7, 0.2, 1.05, 1.5
 SURROUNDING = 1.5  # cells about a cell's middle by whose returns is told how its surface slopes
 FEWEST = 4  # returns that tell it
 
@@ -102,12 +103,12 @@ def scattering_of(depth: np.ndarray) -> Scattering | None:
 
 def cells_over(seen: np.ndarray, ratio: float) -> Enlargement:
     """Return cells of `ratio` pixels, or so much larger that most of those about returns, (H, W) bool, have one."""
-    rows, columns = np.nonzero(seen)
+    (rows, columns), most = np.nonzero(seen), WIDEST_CELLS * ratio
     while True:
         cells = Enlargement(*(cells_of(side, ratio) for side in seen.shape))
         filled = np.zeros([len(each.kept) for each in cells], bool)
         filled[cells.rows.source[rows], cells.columns.source[columns]] = True
-        if np.quantile(total(filled.astype(float), 1)[filled], FEW) >= FILLED or min(filled.shape) < 2 * ABOUT:
+        if np.quantile(total(filled.astype(float), 1)[filled], FEW) >= FILLED or WIDER * ratio > most:
             return cells
         ratio *= WIDER
 

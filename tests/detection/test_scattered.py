@@ -68,6 +68,14 @@ def test_what_hangs_together_is_no_lattice():
         assert scattering_of(image) is None
 
 
+def test_patches_of_returns_do_not_make_cells_wider_and_wider():
+    """Of a shelf whose returns lay on a lattice in patches an image of 10 x 7 pixels was left, with no plane in it."""
+    rng, lattice = np.random.default_rng(6), put_into(floor_and_block(), 1.5)
+    patches = np.kron(rng.random((24, 32)) < 0.6, np.ones((10, 10), bool))
+    found = scattering_of(np.where(patches, lattice, np.nan))
+    assert found is None or found.ratio < 3.0
+
+
 def test_depths_put_into_a_larger_image_are_not_told_as_nothing():
     image = derender.sample("tabletop", seed=5, camera=CAMERA).render(noise=True, seed=5)
     large = put_into(image.depth, 1.5)
