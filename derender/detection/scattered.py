@@ -33,7 +33,7 @@ CHANCE = 0.97, 1.05
 SHARED = 0.88
 # Of nine cells about one with a return so many have one too, but about a share of them: cells as far apart as a
 # lattice's lines are left empty in stripes, one of which hid a sphere. They are so much wider until that is so, or so
-# many times as wide in all, where returns are patchy besides. (Of returns left by chance 1.4 times, of lattices up to 1.4.)
+# many times in all, where returns are patchy besides. (Of returns left by chance 1.4 times, of lattices up to that.)
 FILLED, FEW, WIDER, WIDEST_CELLS = 7, 0.2, 1.05, 1.5
 SURROUNDING = 1.5  # cells about a cell's middle by whose returns is told how its surface slopes
 FEWEST = 4  # returns that tell it
