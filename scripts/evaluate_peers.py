@@ -172,21 +172,17 @@ def measure_made(name, number, options):
 
 
 def measure_graspnet(folder, options):
-    """Return the errors at the two measured boxes of the graspnet frames, as `measure_made` does."""
-    rows = []
-    for name in ("sugar", "cheezit"):
-        depth, camera = read_frame(folder / "graspnet", name)
-        found = solids_of(scene_json(infer_structure(depth, camera, options, np.random.default_rng(0)).best_graph()))
-        rng, points = np.random.default_rng(2026), camera.points(depth)
-        floor = floor_by_ransac(rng, points[np.isfinite(depth)])
-        height = np.nan_to_num((points - floor[:3, 3]) @ floor[:3, 2])
-        parts, _ = connected(height > ABOVE)
-        most = points[parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])]
-        sizes = [found[0]["size"] if found else np.full(3, np.inf)] + [
-            peer(rng, most, floor, True)[1] for peer in PEERS
-        ]
-        rows.append([off(size, GRASPNET[name]) for size in sizes])
-    return rows
+    """Return the errors at the sugar box of the graspnet frames, as `measure_made` does. (The carton beside it was
+    measured on its frame, as `upright` does: that is no referee.)"""
+    depth, camera = read_frame(folder / "graspnet", "sugar")
+    found = solids_of(scene_json(infer_structure(depth, camera, options, np.random.default_rng(0)).best_graph()))
+    rng, points = np.random.default_rng(2026), camera.points(depth)
+    floor = floor_by_ransac(rng, points[np.isfinite(depth)])
+    height = np.nan_to_num((points - floor[:3, 3]) @ floor[:3, 2])
+    parts, _ = connected(height > ABOVE)
+    most = points[parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])]
+    ours = found[0]["size"] if found else np.full(3, np.inf)
+    return [[off(size, GRASPNET["sugar"]) for size in (ours, *(peer(rng, most, floor, True)[1] for peer in PEERS))]]
 
 
 def evaluate_peers(count, first, options):
