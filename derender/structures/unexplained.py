@@ -14,7 +14,6 @@ from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads
 from derender.detection.search.bodies import body_hypotheses
 from derender.detection.search.greedy import Settings
-from derender.detection.search.places import guesses
 from derender.detection.solids.beliefs import CUBE, FIRST, HIGH, LOW, NODES, Beliefs, bare_image
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE, Image, make_image, make_row
 from derender.detection.solids.interpenetration import highest, penetration
@@ -139,9 +138,7 @@ def with_one_more(
     for parent, bottom in supports:
         if bottom > points[:, 2].max():
             continue
-        near = [*body_hypotheses(points, image.origin, settings.shapes, bottom),
-                *guesses(rng, image, points, settings.shapes, bottom, view[0], view[2])]  # fmt: skip
-        for each in near:
+        for each in body_hypotheses(points, image.origin, settings.shapes, bottom):
             solid, energy = run_polish(rng, image, state, -1, each.on(bottom, parent), view, settings, 200, 0.006)
             found.append((energy, len(found), state.add(*solid)))
     return [new for _, _, new in sorted(found, key=lambda each: each[:2])[:CLIMBED]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.detection.search.bodies import FEWEST, body_hypotheses
 from derender.detection.search.greedy import Changed, Task, complexity, cube_of, greedy
-from derender.detection.search.places import MISFIT, Places, guesses, pick
+from derender.detection.search.places import MISFIT, Places, pick
 from derender.detection.search.proposals import THINNEST
 from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration, reach
@@ -34,7 +34,7 @@ NOTHING = -2  # what no depth or nothing known explains, among numbers of solids
 def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed:
     """Take out one solid with some of those that share its badly explained pixels, or that show beside it, or with all
     that are as high (another may hide what joins them), and explain what they showed: by the hypotheses, or all of it,
-    or what shows beside the first, as one solid, which may be any that is guessed."""
+    or what shows beside the first, as one solid."""
     (image, settings, hypotheses), seed = task, pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
     shared = places.pairs if places.pairs[seed].any() and rng.random() < 0.5 else places.beside
@@ -44,15 +44,13 @@ def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Pla
         out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
     new = state.without(*out)
     kept = len(new)
-    depth, _, misfit, _ = held_out(image, new, -1)
     for one in (frozenset(out), frozenset(out - {seed})):
         points = places.seen[np.isin(places.shown, list(one)) & (image.depth > 0)]
         if len(points) >= FEWEST:
             bottom = max(min(lowest(state.rows[k]) for k in one), 0.0)
             if one not in places.alone:
                 places.alone[one] = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
-            hypotheses = [*hypotheses, *places.alone[one],
-                          *guesses(rng, image, points, settings.shapes, bottom, depth, misfit)]  # fmt: skip
+            hypotheses = [*hypotheses, *places.alone[one]]
     if rng.random() < 0.5:
         hypotheses = [as_cube(each, image.origin) for each in hypotheses]
     new = greedy(rng, image, hypotheses, settings, new, tried=2, shake=0.7)
