@@ -14,17 +14,7 @@ import numpy as np
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.patches import components
 from derender.detection.search.bodies import FEWEST, box_about
-from derender.detection.search.greedy import (
-    Changed,
-    Settings,
-    Task,
-    energy_of,
-    greedy,
-    prune,
-    settle,
-    sweep,
-    total_energy,
-)
+from derender.detection.search.greedy import Changed, Settings, Task, greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import (
     LOWER,
     aligned_pairs,
@@ -42,8 +32,8 @@ from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import Image, blank, draw, rotation_of, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
-from derender.detection.solids.polish import FINEST, FREE, GUESSED, SETTLED, TRIED, UPRIGHT
-from derender.detection.solids.state import FLOOR, Solid, State, held_out, run_polish
+from derender.detection.solids.polish import FINEST, FREE, SETTLED, TRIED, UPRIGHT
+from derender.detection.solids.state import FLOOR, Solid, State, held_out
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
 
@@ -85,7 +75,6 @@ ON_REPAIRS = 24
 UNSETTLED = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 SHARED = 0.1  # of the pixels of one of two solids that both show from which on they belong to one part
-FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
 CUTS = np.linspace(0.1, 0.9, 17)  # shares of the pixels on one side of the cuts that are tried through what shows two
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
@@ -243,7 +232,7 @@ def one_search(
         stage(climb)
     last = Climb(rng, climb.task, climb.state)  # what it tries none looks at again
     support_all(last)
-    for of_one in (merged, reached, united):  # as long as that helps
+    for of_one in (merged, reached):  # as long as that helps
         while any(last.takes(changed, may_cost=UNSETTLED) for changed in of_one(last)):
             pass
     last.takes((last.state, None), SETTLED)
@@ -403,44 +392,6 @@ def support_all(climb: Climb) -> None:
 def floats(state: State) -> bool:
     """Whether nothing bears some solid of the state."""
     return any(np.isnan(solid.bottom) and solid.parent < 0 for solid in state)
-
-
-def united(climb: Climb) -> Iterator[Changed]:
-    """Yield the state with one box for what several neighbouring solids explain that show in few pixels each: pieces of
-    what shows on both sides of another. Each is well explained, so no move looks at them; and so few points do not tell
-    which way the box is turned."""
-    (image, settings, _), state = climb.task, climb.state
-    if "box" not in settings.shapes:
-        return
-    places = climb.places()
-    shown = np.bincount(places.shown[places.shown >= 0], minlength=len(state))
-    for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
-        points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
-        bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
-        fewer = state.without(*out)
-        view, tries = held_out(image, fewer, -1), []
-        for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
-            box = Solid(box_about(points, yaw, bottom), UPRIGHT).on(bottom)
-            tries.append(run_polish(climb.rng, image, fewer, -1, box, view, settings, step=GUESSED, heat=4.0))
-        box, _ = min(tries, key=energy_of)
-        yield fewer.add(*box), {len(fewer)}
-
-
-def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
-    """Return sorted lists of two members and more: all that hang together by showing beside each other, then pairs."""
-    found, pairs = [], []
-    left = [int(k) for k in members]
-    while left:
-        group, ahead = [], [left[0]]
-        while ahead:
-            k = ahead.pop()
-            if k in left:
-                left.remove(k)
-                group.append(k)
-                ahead += [j for j in left if beside[k, j] > 0]
-        found.append(sorted(group))
-        pairs += [[j, k] for j in sorted(group) for k in group if j < k and beside[j, k] > 0 and len(group) > 2]
-    return [group for group in found if len(group) > 1] + pairs
 
 
 def merged(climb: Climb) -> Iterator[Changed]:
