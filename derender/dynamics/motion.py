@@ -84,7 +84,7 @@ class Motion(NamedTuple):
         """Return a body by name."""
         return next(body for body in self.matter.bodies if body.name == name)
 
-    def apart(self) -> list["Motion"]:
+    def parts(self) -> list["Motion"]:
         """Return the motions of bodies that never come near each other, each by itself: they may be of other stuff."""
         count = len(self.names)
         group = np.arange(count)

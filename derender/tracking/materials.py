@@ -134,7 +134,7 @@ def materials_to_folder(
     rng = np.random.default_rng(seed)
     answers: list[Answer] = []
     ahead: dict[str, dict[str, list]] = {}
-    parts = motion.apart()
+    parts = motion.parts()
     for part in parts:
         found, of = identify(part, rng, prior), "+".join(part.names) if len(parts) > 1 else ""
         answers.append(Answer(found, rng, track.rate_spread, track.level_spread, of))

@@ -191,10 +191,10 @@ def test_things_that_never_meet_have_a_friction_each(tmp_path):
 
 def test_what_comes_near_is_one_motion_and_what_does_not_is_another():
     miss = motion_of_track(together(track(sliding()), track(sliding() + [0.0, 0.09, 0.0])))
-    assert [part.names for part in miss.apart()] == [("box_1",), ("box_2",)]
+    assert [part.names for part in miss.parts()] == [("box_1",), ("box_2",)]
     near = motion_of_track(together(track(sliding()), track(sliding() + [0.0, 0.072, 0.0])))
-    assert [part.names for part in near.apart()] == [("box_1", "box_2")]
-    alone = miss.apart()[1]
+    assert [part.names for part in near.parts()] == [("box_1", "box_2")]
+    alone = miss.parts()[1]
     assert [body.name for body in alone.matter.bodies] == ["floor", "box_2"]
     np.testing.assert_array_equal(alone.poses, miss.poses[:, 1:])
 
