@@ -28,6 +28,7 @@ from derender.structures.changes import (
     changes,
     other_shapes,
     propped_up,
+    raised,
     reached_down,
     still_bears,
     uprighted,
@@ -88,7 +89,8 @@ def of_one_solid(
     upright = uprighted(best.state, i)
     on_it = [] if upright is None else carried_upright(best.state, i)
     several = [tried(rng, best, state, [i, *on_it, *range(len(best.state), len(state))], rules, least=least)
-               for state in [*propped, *([] if upright is None else [upright]), *as_two(best, i, shapes)]]  # fmt: skip
+               for state in [*propped, *raised(best, i, shapes), *([] if upright is None else [upright]),
+                             *as_two(best, i, shapes)]]  # fmt: skip
     removed = unclimbed(best.state.without(i), floor_pose_of(best), best.sensor, rules)
     others: list[Weighed] = []
     if height(removed) > height(best) - PROMISING:

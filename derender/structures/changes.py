@@ -206,22 +206,65 @@ def still_bears(best: Refined, state: State, i: int) -> bool:
 
 def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
     """Return the states in which a solid that stands on nothing has a box or a cube under it, hidden by it or by
-    others: as high as it hangs, below its middle or somewhat behind."""
+    others."""
     state, row = best.state, best.state.rows[i]
-    gap = lowest(row)
-    if state.forms[i] != UPRIGHT or not np.isnan(state.bottoms[i]) or gap < LEAST_TALL or state.parents[i] != FLOOR:
+    if state.forms[i] != UPRIGHT or not np.isnan(state.bottoms[i]) or state.parents[i] != FLOOR:
+        return []
+    return on_hidden(best, i, row, state.cubes[i], shapes)
+
+
+def raised(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
+    """Return the states in which an upright box or can whose foot hides reaches less far down, a box as far as a cube
+    would too, and stands on a box or a cube that nothing shows."""
+    state, row = best.state, best.state.rows[i]
+    lying = state.forms[i] != UPRIGHT or np.isnan(state.bottoms[i]) or int(row[0]) == SPHERE
+    if lying or state.cubes[i] or state.parents[i] != FLOOR:
+        return []
+    least = highest(row) - lowest_shown(best, i)  # that it is high, or -inf: nothing shows
+    if least <= 0.0:
+        return []
+    heights = [(0.5 * (least + row[15]), False)]
+    if int(row[0]) == BOX and "cube" in shapes:
+        heights.append((float(np.sqrt(row[13] * row[14])), True))
+    states = []
+    for tall, cube in heights:
+        if least <= tall <= row[15] - LEAST_TALL:
+            new = row.copy()
+            new[12], new[15] = highest(row) - 0.5 * tall, tall
+            new[13:15] = tall if cube else row[13:15]
+            states += on_hidden(best, i, new, cube, shapes)
+    return states
+
+
+def lowest_shown(best: Refined, i: int) -> float:
+    """Return how high over the floor the lowest point lies that an image shows of solid `i`."""
+    low = np.inf
+    for view in best.sensor.views:
+        depth, label = model_image(best.chart, best.values, view.camera, view.into)
+        shown = (label == i + 1) & (view.observed > 0.0)
+        if shown.any():
+            floor = best.chart.floor if view.into is None else view.into @ best.chart.floor
+            low = min(low, float(((view.camera.points(depth)[shown] - floor[:3, 3]) @ floor[:3, 2]).min()))
+    return low
+
+
+def on_hidden(best: Refined, i: int, row: np.ndarray, cube: bool, shapes: tuple[str, ...]) -> list[State]:
+    """Return the states in which solid `i`, as it is in a row, stands on a box or a cube as high as it is over the
+    floor, below its middle or somewhat behind."""
+    state, gap = best.state, lowest(row)
+    if gap < LEAST_TALL:
         return []
     away = row[10:12] + (best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3])[:2]  # from the camera
     behind = BEHIND * row[13:15].min() * away / max(float(np.linalg.norm(away)), 1e-9)
+    turned = rotation_of(row) if int(row[0]) == BOX else np.eye(3)
     states = []
     for place in (row[10:12], row[10:12] + behind):
-        for cube in (False, True):
-            if ("cube" if cube else "box") in shapes:
-                extents = [gap] * 3 if cube else [*(NARROWER * row[13:15]), gap]
-                under = make_row(
-                    BOX, rotation_of(row) if int(row[0]) == BOX else np.eye(3), [*place, 0.5 * gap], extents
-                )
-                states.append(state.add(under, UPRIGHT, cube, FLOOR, 0.0).changed(i, parent=len(state), bottom=gap))
+        for under_cube in (False, True):
+            if ("cube" if under_cube else "box") in shapes:
+                extents = [gap] * 3 if under_cube else [*(NARROWER * row[13:15]), gap]
+                under = make_row(BOX, turned, [*place, 0.5 * gap], extents)
+                with_it = state.add(under, UPRIGHT, under_cube, FLOOR, 0.0)
+                states.append(with_it.changed(i, row=row, cube=cube, parent=len(state), bottom=gap))
     return states
 
 

@@ -11,10 +11,11 @@ from derender.detection.search.greedy import Settings
 from derender.detection.search.searches import Found, agree, search
 from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.state import FLOOR
+from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX
-from derender.structures.alternatives import QUICK, unclimbed, weighed_whole
+from derender.structures.alternatives import QUICK, of_one_solid, unclimbed, weighed_whole
 from derender.structures.answer import missed_by
+from derender.structures.changes import raised
 from derender.structures.draws.metropolis import SAME, engine_of, likelihood_without, load, log_evidence
 from derender.structures.draws.refined import at_mode, members_of, pixels_of
 from derender.structures.graph_posterior import shown_and_left
@@ -72,6 +73,23 @@ def test_a_solid_that_shows_in_a_few_pixels_is_proposed_and_wins():
     (place,) = shown_and_left(best)["spots"]  # the doubt about an answer without it says where it is
     np.testing.assert_allclose(place, [0.45, 0.6, 0.7, 0.85], atol=0.2)
     assert shown_and_left(whole)["spots"] == []
+
+
+def test_a_box_whose_foot_hides_may_be_a_cube_on_what_nothing_shows():
+    """It was told as a box of that height at P .995, whatever may be behind what hides it."""
+    rng, eye = np.random.default_rng(3), -floor_pose()[:3, :3].T @ floor_pose()[:3, 3]
+    before = 0.06 * eye[:2] / np.linalg.norm(eye[:2])
+    tall = State().add(row(BOX, 0.0, 0.0, 0.0, 0.0, (0.06, 0.06, 0.11)), UPRIGHT, False, FLOOR, 0.0)
+    both = tall.add(row(BOX, 0.0, *before, 0.0, (0.2, 0.03, 0.08)), UPRIGHT, False, FLOOR, 0.0)
+    best = at_mode(rng, both, floor_pose(), observe(rng, both, {"sigma": 0.002}, camera(64, 48))[0], RULES)
+    found = raised(best, 0, ("box", "cube"))
+    assert {(each.cubes[0], each.cubes[2], each.parents[0]) for each in found} == {
+        (one, other, 2) for one in (False, True) for other in (False, True)
+    }
+    weighed = [each for each in of_one_solid(rng, best, 0, RULES, ("box", "cube")) if len(each.trial.state) == 3]
+    assert any(each.trial.state.cubes[0] and -8.0 < each.odds < 5.0 for each in weighed)
+    alone = at_mode(rng, tall, floor_pose(), observe(rng, tall, {"sigma": 0.002}, camera(64, 48))[0], RULES)
+    assert raised(alone, 0, ("box", "cube")) == []
 
 
 def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):
