@@ -32,7 +32,7 @@ from derender.tracking.film import (
 from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of, report_page, write_track
-from derender.tracking.thing import GONE, Start, start_from
+from derender.tracking.thing import FOLLOWED, GONE, Start, start_from
 from derender.tracking.track import Recorder, Track
 
 POLL = 0.2  # seconds between looks at a folder that grows
@@ -50,7 +50,7 @@ class Outcome(NamedTuple):
 
     def table(self) -> str:
         """Return a line for each thing."""
-        lines = []
+        lines = [] if self.track.names else ["no object is followed"]
         for k, name in enumerate(self.track.names):
             words: list[str] = []
             for row, states in zip(self.track.parents(), self.track.states, strict=True):
@@ -167,9 +167,13 @@ def begun(posterior: Any, camera: Camera, depth: np.ndarray, rng: np.random.Gene
     from derender.report.contents import report_of
 
     told = None if posterior.explanation is None else posterior.explanation.depth
-    seen = report_of(posterior.best_graph(), replace(camera, gravity=None), depth, told=told, shown=False,
+    graph = posterior.best_graph()
+    left = [name for name in graph.solid_names if graph.vertex(name).shape not in ("plane", *FOLLOWED)]
+    seen = report_of(graph, replace(camera, gravity=None), depth, told=told, shown=False,
                      likelihood=posterior.meta.get("likelihood"))  # fmt: skip
-    return start_from(posterior, rng)._replace(doubts=tuple(each.words for each in seen.doubts if each.serious))
+    doubts = [each.words for each in seen.doubts if each.serious]
+    doubts += [f"{name} is not followed: no {', '.join(FOLLOWED)}" for name in left]
+    return start_from(posterior, rng)._replace(doubts=tuple(doubts))
 
 
 def inferrer(options: Options, camera: Camera, progress: Any = None) -> Any:

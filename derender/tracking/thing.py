@@ -19,6 +19,7 @@ TIES = {
     "sphere": np.ones((1, 3)),
     "cylinder": np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
 }
+FOLLOWED = tuple(TIES)  # shapes; of free-form things no frame tells the far side
 DRAWS = 60  # of the posterior, for the spread of sizes and poses
 LEAST_SPREAD = (3e-4, 3e-3, 3e-4)  # metres, radians, metres: of centre, turn and extents of what is known best
 SAME_TURN = 0.35  # radians: draws turned by more are the same solid named by other axes
@@ -112,7 +113,7 @@ def start_from(posterior: Posterior, rng: np.random.Generator) -> Start:
     poses = graph.poses()
     planes = [vertex.name for vertex in graph.vertices if vertex.shape == "plane"]
     draws = [g for g in posterior.graphs(rng, DRAWS) if g.names == graph.names]
-    things = [thing_of(graph, draws, vertex.name) for vertex in graph.vertices if vertex.shape in TIES]
+    things = [thing_of(graph, draws, vertex.name) for vertex in graph.vertices if vertex.shape in FOLLOWED]
     told = dict(posterior.meta.get("likelihood", {}))
     correlation = min(max(float(posterior.meta.get("correlation") or 0.0), 0.0), 0.75)
     return Start(

@@ -10,11 +10,12 @@ from films import CAMERA, FPS, at, errors, film, start
 from derender.physics.bodies import Body
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, rotation_angle
+from derender.scene.solids import BOX, Solids
 from derender.tracking import fit
 from derender.tracking.hidden import Hidden, blobs_of, carried
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of
-from derender.tracking.track import Recorder
+from derender.tracking.track import FREE_FORM, Recorder
 from derender.tracking.tracker import QUARTERS, Tracker
 
 GRAVITY = -9.81 * films.view()[:3, 2]
@@ -218,6 +219,18 @@ def test_what_enters_is_seen_up_to_the_images_border():
     seen = SimpleNamespace(observed=observed, spread=0.002, camera=CAMERA, misfit=SimpleNamespace(blurred=drawn))
     (blob,) = blobs_of(seen)
     assert blob.pixels == 59 and blob.mask[:, 0].sum() == 10
+
+
+def test_a_free_form_thing_that_comes_in_is_said_not_to_be_followed():
+    """A mug that somebody put down ended the film with a KeyError."""
+    size = [0.06, 0.07, 0.08]
+    frames, poses = film(np.random.default_rng(5), ["box"], [size], [[at(3.0 * (t < 2), 0, 0.04)] for t in range(6)])
+    solids = Solids(np.array([BOX], np.int32), poses[-1], np.array([size]), np.array([-1], np.int32), ())
+    shown = SimpleNamespace(
+        solids=lambda: solids, solid_names=["thing_1"], vertex=lambda name: SimpleNamespace(shape="thing")
+    )
+    track = follow(frames, start([], [], []), infer=lambda depth: SimpleNamespace(best_graph=lambda: shown)).track()
+    assert track.names == [] and track.notes == [FREE_FORM]
 
 
 def test_what_comes_back_may_have_rolled_over_as_a_motion_of_it_did():
