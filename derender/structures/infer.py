@@ -15,7 +15,7 @@ from derender.detection.search.observation import CORRELATED, Observation, Suppo
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, scale_drawn
 from derender.errors import DerenderError
-from derender.results.fit import FLOOR, STEP, UNEXPLAINED
+from derender.results.fit import FLOOR
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import misleads
 from derender.sampling.diagnostics import summary, unwrap
@@ -34,10 +34,9 @@ if TYPE_CHECKING:
 AS_OF_A_SENSOR = 0.4
 # Share of the pixels in which objects show, but for so many pixels along their edges, in which none may show any more.
 MOST_LOST, EDGE = 0.05, 1
-# Of the solids, floors too, how many are left at most where nothing but chains that disagree speaks for a sensor: of
-# ten in a heap two that touch may be taken as one.
+# Of the solids, floors too, how many are left at most where nothing but chains that disagree, or free-form things,
+# speak for a sensor: of ten in a heap two that touch may be taken as one. Or there are fewer free-form things.
 FEWER = 0.75
-SEAM = 12  # pixels beside which a free-form thing goes on from a solid, from which on that may be one
 
 Progress = Callable[[float, str], None]
 
@@ -75,7 +74,7 @@ def infer_structure(
     said = options.prior is not None or case.library or case.frames or found.meta["interrupted"]
     if said or found.meta["correlation"] > CORRELATED:
         return found
-    if not (found.meta["spots"] or disagrees(found.best_part) or goes_on(found, case.depth)):
+    if not (found.meta["spots"] or disagrees(found.best_part) or things_in(found)):
         return found
     say(0.0, "searching again, as for what a sensor shows")
     try:
@@ -87,7 +86,8 @@ def infer_structure(
         return found
     if stopped:  # the first answer is whole
         return replace(found, meta={**found.meta, "interrupted": True})
-    fewer = len(other.best_graph().solid_names) <= FEWER * len(found.best_graph().solid_names)
+    many, now = (len(each.best_graph().solid_names) for each in (found, other))
+    fewer = now <= FEWER * many or (now <= many and things_in(other) < things_in(found))
     return other if (found.meta["spots"] or fewer) and lost(found, other) < MOST_LOST else found
 
 
@@ -109,20 +109,10 @@ def disagrees(part: StructurePosterior) -> bool:
     return any(misleads({**summary(draws), "draws": draws}) for draws in told)
 
 
-def goes_on(found: Posterior, depth: np.ndarray) -> bool:
-    """Whether a free-form thing goes on from a solid without a jump in the depth (H, W): it may be a face that a box
-    seen with a wrong focal length does not explain."""
-    assert found.explanation is not None, "it tells what each pixel shows"
-    label, names = found.explanation.label, found.explanation.names
+def things_in(found: Posterior) -> int:
+    """Return how many free-form things the likeliest scene has: each may be a solid that a wrong focal length bends."""
     graph = found.best_graph()
-    free = np.array([graph.vertex(name).shape == "thing" for name in names] + [False] * -UNEXPLAINED)  # no object: < 0
-    thing, solid = free[label], (label >= 0) & ~free[label]
-    meet = 0
-    for axis in (0, 1):
-        here, there = ((slice(None),) * axis + (part,) for part in (slice(-1), slice(1, None)))
-        one = (thing[here] & solid[there]) | (solid[here] & thing[there])
-        meet += int((one & (np.abs(depth[there] - depth[here]) < STEP * depth[here])).sum())
-    return meet >= SEAM
+    return sum(graph.vertex(name).shape == "thing" for name in graph.solid_names)
 
 
 def lost(found: Posterior, other: Posterior) -> float:

@@ -19,7 +19,7 @@ from derender.results.fit import BACKGROUND
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.draws.sensor import ROUNDS, Sensor, under_shared_noise
-from derender.structures.infer import found_in, goes_on, infer_structure, lost
+from derender.structures.infer import found_in, infer_structure, lost
 from derender.structures.options import Options
 
 CAMERA = Camera(110.0, 110.0, 63.5, 47.5, 128, 96)
@@ -143,20 +143,6 @@ def test_a_second_search_that_does_not_end_leaves_the_first_answer(monkeypatch, 
     observed = box_on_a_table(camera) + 0.001 * np.random.default_rng(1).standard_normal((120, 160))
     posterior = infer_structure(observed, replace(camera, fx=147.0, fy=147.0), Options(seed=0))
     assert posterior.parts == answers[0].parts and posterior.meta["interrupted"] is interrupted
-
-
-def test_a_thing_goes_on_from_a_solid_where_no_jump_is_between():
-    label, depth = np.full((20, 30), -1), np.full((20, 30), 1.0)
-    label[5:18, 5:15], label[5:18, 15:25] = 0, 1
-    graph = SimpleNamespace(vertex=lambda name: SimpleNamespace(shape=name))
-
-    def told(*names):
-        return SimpleNamespace(explanation=SimpleNamespace(label=label, names=names), best_graph=lambda: graph)
-
-    assert goes_on(told("box", "thing"), depth) and goes_on(told("thing", "box"), depth)
-    assert not goes_on(told("box", "box"), depth) and not goes_on(told("thing", "thing"), depth)
-    depth[:, 15:] = 1.1
-    assert not goes_on(told("box", "thing"), depth)
 
 
 def test_what_a_second_search_leaves_counts_as_lost_but_not_along_its_edges():
