@@ -57,15 +57,17 @@ def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[lis
         edges = seen.mask & (piece < 0) & (np.abs(height - top) < even)
         body, _ = label_bodies(seen.points, mask | edges, seen.surface.jump)
         edges &= np.isin(body, body[mask])
-        within = opening(seen, mask | edges, top, even)
-        if within is None:
+        beyond = opening(seen, mask | edges, top, even)
+        if beyond is None:
             continue
+        within = beyond < -even
         bottom = within & (height < ends_of(seen.points[within], ENDS)[0, 2] + even)
         lies = np.bincount(piece[bottom & (piece >= 0)], minlength=count) > LIES * pixels
         parts = np.union1d(group, np.flatnonzero(lies))
         bottom &= piece < 0
         if bottom.any() and np.median(height[bottom]) < LOW * np.median(seen.sigma[bottom]):
             bottom[:] = False  # it is the floor
+        bottom |= (beyond < 0.0) & (piece < 0) & seen.mask  # of its walls, too
         if len(parts) > 1 or bottom.any():
             solids, things = parts[parts < len(state)], parts[parts >= len(state)] - len(state)
             return solids.tolist(), things.tolist(), edges | bottom
@@ -85,21 +87,22 @@ def touching(seen: Observation, piece: np.ndarray, count: int) -> np.ndarray:
 
 
 def opening(seen: Observation, mask: np.ndarray, top: float, even: float) -> np.ndarray | None:
-    """Return (H, W) bool: what is seen through the opening that what a mask (H, W) shows goes around at a height, to
-    within `even` metres; None where it has none."""
+    """Return (H, W) metres by which lines of sight pass beyond the outline of the opening that what a mask (H, W) shows
+    goes around at a height, to within `even` metres: less than 0 through it; None where it has none."""
     origin, height = seen.image.origin, seen.points[..., 2]
     edge = seen.points[mask & (height > top - even)][:, :2]
     corners = convex_outline(np.ascontiguousarray(edge))
     if corners is None or origin[2] <= top:
         return None
     sides = outline_planes(corners)
-    within = (seen.image.weight > 0) & (height < origin[2])
-    share = (origin[2] - top) / np.maximum(origin[2] - height[within], 1e-9)  # of the way to what is seen, to the plane
-    crossing = origin[:2] + share[:, None] * (seen.points[within][:, :2] - origin[:2])
-    inside = (crossing @ sides[:, :2].T + sides[:, 2]).max(axis=-1) < -even
-    within[within], crossing = inside, crossing[inside]
+    good = (seen.image.weight > 0) & (height < origin[2])
+    share = (origin[2] - top) / np.maximum(origin[2] - height[good], 1e-9)  # of the way to what is seen, to the plane
+    crossing = origin[:2] + share[:, None] * (seen.points[good][:, :2] - origin[:2])
+    beyond = np.full(height.shape, np.inf)
+    beyond[good] = (crossing @ sides[:, :2].T + sides[:, 2]).max(axis=-1)
+    within = beyond < -even
     if within.sum() < FEWEST or np.mean(height[within] < top - even) < OPEN:
         return None
-    way = np.arctan2(*(edge - crossing.mean(axis=0)).T[::-1])
+    way = np.arctan2(*(edge - crossing[within[good]].mean(axis=0)).T[::-1])
     seen_in = np.unique(np.floor((way / (2.0 * np.pi) + 0.5) * DIRECTIONS).astype(int) % DIRECTIONS)
-    return within if len(seen_in) >= AROUND * DIRECTIONS else None
+    return beyond if len(seen_in) >= AROUND * DIRECTIONS else None

@@ -66,6 +66,13 @@ def test_the_bottom_of_a_tray_is_no_board_that_lies_in_it(height):
     assert [each.type for each in found.objects] == ["thing"]
 
 
+def test_what_is_left_along_the_foot_of_a_tray_is_no_board(monkeypatch):
+    """Boards and cubes at P 1.00 explained the pixels about a tray, each of which tells much of independent noise."""
+    monkeypatch.setattr(f"{__name__}.CAMERA", Camera.from_field_of_view(320, 240, 58.0))
+    found = derender.infer(seen([*around(0.3, 0.2, 0.06, 0.006), (0.0, 0.0, (0.288, 0.188, 0.004))]), seed=0)
+    assert [each.type for each in found.objects] == ["thing"]
+
+
 def test_walls_of_which_the_edges_alone_are_seen_are_walls():
     """Of a tray that two walls explain the others show nothing but their upper edges, which go around with them."""
     boxes, image = around(0.3, 0.22, 0.06, 0.006), seen(around(0.3, 0.22, 0.06, 0.006))

@@ -54,6 +54,7 @@ BLUR_POINTS = 60  # at which blurs are summed over
 MOST_BACKGROUND = 0.1
 # By how many standard deviations of its noise a background, as it was seen, may be nearer; metres before the camera.
 BEFORE, LEAST_DEPTH = 3.0, 0.01
+FOOT = 2  # pixels about a free-form thing in which its foot, and what an edge mixes, may show
 REACHED, BESIDE = 0.99, 6  # share of the pixels whose depth is within a sensor's reach; pixels beside what returned
 UNEVEN = 3.0  # standard deviations of where a real face is, by which a floor is at least uneven
 WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any; degrees of freedom of t
@@ -135,6 +136,8 @@ def view_of(seen: Any) -> View:
     if seen.correlation > CORRELATED or seen.things or background_share(seen) > MOST_BACKGROUND:
         as_seen = (seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN)
         as_seen &= ~seen.floor.inliers | seen.behind  # what lies on the floor's plane tells where that is
+        if seen.correlation <= CORRELATED and seen.things:  # each pixel along a thing's foot tells much there
+            as_seen |= (seen.image.weight > 0) & grown(np.any([thing.mask for thing in seen.things], axis=0), FOOT)
         floor = floor_depth(seen.floor.pose, camera)
         nearest = np.minimum(there(seen.image.depth), floor) - BEFORE * there(seen.sigma)
         observed = np.where(there(as_seen) & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
