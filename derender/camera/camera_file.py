@@ -21,6 +21,9 @@ from derender.errors import DerenderError
 STRAY_SCANNER = (1920, 1440)  # pixels of the video that its camera_matrix.csv belongs to
 RIGHT_SOCKET = 2  # of an OAK: its depth is that of the rectified right camera
 SAME_ASPECT = 0.02  # by how much the aspects of an image and of a smaller one registered to it differ at most
+# Share of both sides from which on a principal point is another image's: of one twice as large it is the corner itself.
+# Crops of the other corner of an image say how large they are.
+CORNER = 0.9
 MOST_DEGREES, LEAST_DEGREES = 175.0, 0.05  # field of view: no lens shows more without distortion, or less
 DEEPEST = 4  # levels below which a camera is not looked for
 
@@ -369,3 +372,7 @@ def _refuse_impossible(camera: Camera, room: int) -> None:
             far = "farther outside the image than it is large" if room else "outside the image"
             remedy = "give the camera of this image, in its pixels" + ("" if room else ", or width and height with it")
             raise DerenderError(f"{name} is {centre:g}, {far} ({extent} pixels)", "camera", remedy)
+    across, down = camera.cx / camera.width, camera.cy / camera.height
+    if room == 0 and min(across, down) > CORNER:
+        what = f"cx and cy are {camera.cx:g} and {camera.cy:g}, the corner of {camera.width} x {camera.height} pixels"
+        raise DerenderError(what, "camera", "give the camera of this image, in its pixels, or width and height with it")

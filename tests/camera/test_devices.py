@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from derender.camera.camera_file import read_camera
+from derender.camera.camera_file import camera_from_tree, read_camera
 from derender.camera.depth_file import DepthImage, Reading, direction, read_depth, turned
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
@@ -112,6 +112,14 @@ def test_a_camera_without_a_size_is_that_of_the_image_only_where_its_middle_is_i
     said = {"fx": 900, "fy": 900, "cx": 640, "cy": 360, "width": 512, "height": 384}
     (tmp_path / "k.json").write_text(json.dumps(said))
     assert read_camera(tmp_path / "k.json", (384, 512)).cx == 640  # a part of an image
+
+
+def test_a_camera_of_an_image_twice_as_large_is_refused():
+    """README's camera, of 640 x 480 pixels, was taken for an image of 320 x 240, and its two things were trusted."""
+    twice = {"fx": 615, "fy": 615, "cx": 320, "cy": 240}
+    with pytest.raises(DerenderError, match="the corner of 320 x 240 pixels"):
+        camera_from_tree(twice, (240, 320))
+    assert camera_from_tree({**twice, "cx": 160}, (240, 320)).cx == 160
 
 
 def test_distortion_and_raw_calibrations_are_refused(tmp_path):
