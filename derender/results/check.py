@@ -27,14 +27,19 @@ LOOKED_AT = 1000  # pixels, about, evenly spread
 TRIES = 150  # planes through three pixels each, of each kind: one with half of the pixels is missed never
 NEAR, DEVIATIONS = 0.006, 3.0  # share of the distance that a plane may be off, or so many deviations of the noise
 CLEARLY, MORE = 1.2, 0.08  # times as many pixels on the plane of another kind, and by how much of all, at least
+AT_ONE = 0.01  # share of the numbers that are a buffer's background, or cut off at 1 m
 REMEDIES = {
     "range": "distances along the rays (range), not depth along the axis: convert them by z = r / |ray|",
+    "buffer": "in a depth buffer of OpenGL: convert them by z = far near / (far - (far - near) number)",
     "disparity": "disparities, not depths: convert them by z = focal length * baseline / disparity",
 }
 
 
 def wrong_kind(observed: np.ndarray, camera: Camera, noise: Noise) -> list[Doubt]:
     """Return a doubt where another kind of numbers has far more of the image (H, W) on one plane than depth has."""
+    known = observed[np.isfinite(observed)]
+    if known.max(initial=0.0) == 1.0 and np.mean(known == 1.0) > AT_ONE:
+        return [Doubt("the numbers end in exactly 1 where nothing is near, as " + REMEDIES["buffer"])]
     shares = plane_shares(observed, camera, noise)
     best = max(shares, key=lambda kind: shares[kind])
     if best == "depth" or shares[best] < max(CLEARLY * shares["depth"], shares["depth"] + MORE):

@@ -49,6 +49,14 @@ def test_disparity_is_told(elevation):
     assert words.startswith("the numbers look like disparities")
 
 
+def test_a_depth_buffer_is_told():
+    """That of a simulator was taken for metres, and two things of it were trusted."""
+    near, far, seen = 0.1, 5.0, image(20, 0.0)
+    (words,) = words_of(np.where(seen < 3.0, far * (1.0 - near / seen) / (far - near), 1.0))
+    assert words.startswith("the numbers end in exactly 1") and "OpenGL" in words
+    assert words_of(np.where(seen < 3.0, seen, np.nan) / 3.0) == []  # metres that end near 1
+
+
 def test_a_plane_has_its_share_in_any_units():
     seen = image(40, 0.0, 0)
     assert plane_shares(seen, CAMERA, flat_noise(seen))["depth"] == 1.0
