@@ -53,6 +53,7 @@ MOST_WRONG, FEW = 0.4, 0.05
 MOST_MISSED = 0.5
 TOLD_COUNT = 0.05  # of objects; fewer are 0.0 in one digit, and not worth a word
 FITS = 4.0  # standard deviations by which noise alone hardly ever leaves an image less likely than others of its scene
+EXACT = 1e-3  # of an object's extent, to which no box is one, and up to which what chains leave open is said alone
 OFF = 0.1  # of an object's extent: by less a real sensor tells its place, and what there is (an IoU of .8)
 
 
@@ -179,7 +180,8 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         words += "" if np.isinf(most) else f", which leave {float(f'{1000 * most:.1g}'):g} mm open"
         names = {row["address"].partition(".")[0] for row in worst if left_open(posterior, row) >= faces}
         own = names if np.isfinite(most) or not worst else None  # else of the root or the likelihood
-        far = any(left_open(posterior, row) > (OFF * extent_of(posterior, row) if faces else 0.0) for row in worst)
+        share = OFF if faces else EXACT
+        far = any(left_open(posterior, row) > share * extent_of(posterior, row) for row in worst)
         told.append(Doubt(f"{words}; --draws {needed} would do", far, about=own))
     return (*map(Doubt, doubts), *told)
 

@@ -139,6 +139,15 @@ def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address,
     assert doubt.about == {"box_1"} and doubt.serious
 
 
+@pytest.mark.parametrize("open_mm, serious", [(0.03, False), (0.3, True)])
+def test_chains_that_leave_a_thousandth_of_a_size_open_are_trusted(open_mm, serious):
+    """Two views of which all sizes were right were not to be trusted for .03 mm that the chains left open."""
+    values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
+    (row,) = parameter_rows(["box_1.width"], 0.1 + 2e-3 * open_mm * values / values.std())
+    (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [row])
+    assert doubt.serious == serious and f"leave {open_mm:g} mm open" in doubt.words
+
+
 @pytest.mark.parametrize("length, serious", [(0.2, False), (0.09, True)])
 def test_a_size_that_chains_leave_open_by_a_tenth_of_itself_is_not_trusted(length, serious):
     """Of a box 19 cm deep 15 mm of 9 cm were left open, for its other end was missed, and it was trusted."""
