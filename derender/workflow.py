@@ -16,7 +16,7 @@ from derender.camera.intrinsics import Camera
 from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.repeats import Enlargement
 from derender.compilation.threads import import_in_background, interruptible
-from derender.detection.scattered import Scattering, as_made, smaller_image_of
+from derender.detection.scattered import as_made, smaller_image_of
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, Idle, at_fault, idle_lines
 from derender.report.result_folder import Outcome, write_results
@@ -289,7 +289,7 @@ def _inferred(
     return replace(posterior, seed=options.seed, meta=meta), likelihood
 
 
-def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement | Scattering) -> Posterior:
+def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement) -> Posterior:
     """Return the posterior of a smaller image as that of the image, of this camera, that was made of it."""
     told, meta = posterior.explanation, {**posterior.meta, "camera": camera.to_dict()}
     if told is not None:
@@ -300,7 +300,7 @@ def as_enlarged(posterior: Posterior, camera: Camera, enlargement: Enlargement |
     return replace(posterior, explanation=told, meta=meta)
 
 
-def in_its_pixels(numbers: Mapping[str, Any], enlargement: Enlargement | Scattering) -> dict[str, Any]:
+def in_its_pixels(numbers: Mapping[str, Any], enlargement: Enlargement) -> dict[str, Any]:
     """Return a likelihood's numbers given a smaller image with those in pixels in those of the image made of it."""
     return {**numbers, **{name: enlargement.ratio * numbers[name] for name in IN_PIXELS if name in numbers}}
 

@@ -6,8 +6,6 @@ was taken for background piece by piece, and "nothing" was told at P .9; blocks 
 Of independent noise with returns anywhere each tells as much as with all, and the image is taken as it is.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from derender.camera.intrinsics import Camera
@@ -39,40 +37,23 @@ SURROUNDING = 1.5  # cells about a cell's middle by whose returns is told how it
 FEWEST = 4  # returns that tell it
 
 
-@dataclass(frozen=True)
-class Scattering:
-    """Cells of equal size over an image, each a pixel of the smaller one that it is taken as; see `Enlargement`."""
-
-    cells: Enlargement
-
-    @property
-    def ratio(self) -> float:
-        """The image's size to the smaller one's."""
-        return self.cells.ratio
+class Scattering(Enlargement):
+    """Cells of equal size over an image, each a pixel of the smaller one that it is taken as."""
 
     def told(self) -> str:
         """Return a line for a person."""
-        rows, columns = (len(each.kept) for each in (self.cells.rows, self.cells.columns))
-        return f"returns lie scattered: taken as an image of {columns} x {rows} pixels"
+        return f"returns lie scattered: taken as an image of {len(self.columns.kept)} x {len(self.rows.kept)} pixels"
 
     def reduced(self, depth: np.ndarray) -> np.ndarray:
         """Return the smaller image (h, w) of one (H, W): of each cell the return that is nearest to its middle, moved
         there along the surface that those about it show; NaN = no return."""
-        rows, columns = self.cells.rows, self.cells.columns
+        rows, columns = self.rows, self.columns
         seen = np.nan_to_num(np.asarray(depth, float))
         found = gathered(seen, rows.source, columns.source, rows.ratio, columns.ratio)
         return np.where(found > 0.0, found, np.nan)
 
-    def enlarged(self, values: np.ndarray) -> np.ndarray:
-        """Return the image (H, W) of a smaller one (h, w)."""
-        return self.cells.enlarged(values)
 
-    def camera(self, camera: Camera) -> Camera:
-        """Return the camera of the smaller image."""
-        return self.cells.camera(camera)
-
-
-def smaller_image_of(depth: np.ndarray) -> "Enlargement | Scattering | None":
+def smaller_image_of(depth: np.ndarray) -> Enlargement | None:
     """Return how a depth image (H, W), NaN = no return, was made of a smaller one; None: it is to be taken as it is."""
     return enlargement_of(depth) or scattering_of(depth)
 
@@ -84,8 +65,7 @@ def as_made(depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
 
 
 def scattering_of(depth: np.ndarray) -> Scattering | None:
-    """Return the Scattering of the returns of a depth image (H, W), NaN = no return; None: it is taken as it
-    is."""
+    """Return the Scattering of the returns of a depth image (H, W), NaN = no return; None: it is taken as it is."""
     seen = np.nan_to_num(depth) > 0.0
     if seen.sum() < LEAST:
         return None
@@ -97,7 +77,7 @@ def scattering_of(depth: np.ndarray) -> Scattering | None:
     by_chance = CHANCE[0] < beside / 8 / ((count.mean() - 1.0) / (pixels - 1)) < CHANCE[1]
     if share > (ENOUGH if reduced_by(depth, WIDEST) > HALF else SCATTERED if by_chance else LINES):
         return None
-    found = Scattering(cells_over(seen, share**-0.5))
+    found = Scattering(*cells_over(seen, share**-0.5))
     return found if not by_chance or shares_noise(found.reduced(depth)) else None
 
 
