@@ -32,7 +32,7 @@ from derender.tracking.film import (
 from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of, report_page, write_track
-from derender.tracking.thing import FOLLOWED, GONE, Start, start_from
+from derender.tracking.thing import FOLLOWED, GONE, NOT_FOLLOWED, Start, start_from
 from derender.tracking.track import Recorder, Track
 
 POLL = 0.2  # seconds between looks at a folder that grows
@@ -172,7 +172,7 @@ def begun(posterior: Any, camera: Camera, depth: np.ndarray, rng: np.random.Gene
     seen = report_of(graph, replace(camera, gravity=None), depth, told=told, shown=False,
                      likelihood=posterior.meta.get("likelihood"))  # fmt: skip
     doubts = [each.words for each in seen.doubts if each.serious]
-    doubts += [f"{name} is not followed: no {', '.join(FOLLOWED)}" for name in left]
+    doubts += [f"{name} {NOT_FOLLOWED}" for name in left]
     return start_from(posterior, rng)._replace(doubts=tuple(doubts))
 
 

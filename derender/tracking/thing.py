@@ -20,6 +20,7 @@ TIES = {
     "cylinder": np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
 }
 FOLLOWED = tuple(TIES)  # shapes; of free-form things no frame tells the far side
+NOT_FOLLOWED = f"is not followed: only shapes {', '.join(FOLLOWED)} are"
 DRAWS = 60  # of the posterior, for the spread of sizes and poses
 LEAST_SPREAD = (3e-4, 3e-3, 3e-4)  # metres, radians, metres: of centre, turn and extents of what is known best
 SAME_TURN = 0.35  # radians: draws turned by more are the same solid named by other axes

@@ -9,7 +9,7 @@ from derender.camera.intrinsics import Camera
 from derender.detection.floor import frame_of
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
-from derender.tracking.thing import FOLLOWED, MOVING, STILL, Seen, Start, thing_of
+from derender.tracking.thing import FOLLOWED, MOVING, NOT_FOLLOWED, STILL, Seen, Start, thing_of
 from derender.tracking.tracker import Tracker
 
 CUT = 0.5  # share of the pixels that fit nothing from which on a frame is of another scene
@@ -19,7 +19,7 @@ LOOKS = 6  # times at most that a film is searched for new things: each is an in
 ENTERING = (0.02, 0.1, 0.02)  # metres, radians, metres: how unsure a thing is that has just come in
 SHARE = 0.5  # of a new solid's pixels that nothing else explains
 ALONE = "{0} is alone: whether it or the camera moves along the floor is not told by the film; add a thing that rests"
-FREE_FORM = f"something has come in that is not followed: no {', '.join(FOLLOWED)}"
+FREE_FORM = f"something that has come in {NOT_FOLLOWED}"
 UP = 9.81  # m/s^2 along the floor's normal where nobody gave gravity
 
 
