@@ -243,7 +243,7 @@ def lowest_shown(best: Refined, i: int) -> float:
         depth, label = model_image(best.chart, best.values, view.camera, view.into)
         shown = (label == i + 1) & (view.observed > 0.0)
         if shown.any():
-            floor = best.chart.floor if view.into is None else view.into @ best.chart.floor
+            floor = view.into @ best.chart.floor
             low = min(low, float(((view.camera.points(depth)[shown] - floor[:3, 3]) @ floor[:3, 2]).min()))
     return low
 
