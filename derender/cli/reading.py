@@ -180,7 +180,10 @@ MOST_MOVING = 8_000_000  # bytes of one
 
 
 def read_simulation(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
-    """Return what simulation.json of a result folder says, {} where there is none, and its animations as data: URIs."""
+    """Return what simulation.json of a result folder says, {} where there is none, and its animation as a data: URI.
+
+    Only the one that was made with it and lies beside it: others show other simulations.
+    """
     import json
 
     from derender.report.pictures import data_uri
@@ -189,10 +192,11 @@ def read_simulation(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
     try:
         told = json.loads((Path(folder) / SIMULATION).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
-        told = {}
-    animations = [
-        data_uri(MOVING[path.suffix.lower()], path.read_bytes())
-        for path in sorted(Path(folder).iterdir())
-        if path.suffix.lower() in MOVING and path.is_file() and path.stat().st_size <= MOST_MOVING
-    ]
-    return told if isinstance(told, dict) else {}, animations
+        return {}, []
+    if not isinstance(told, dict):
+        return {}, []
+    path = Path(folder) / Path(str(told.get("animation"))).name
+    kind = MOVING.get(path.suffix.lower())
+    if kind is None or not path.is_file() or path.stat().st_size > MOST_MOVING:
+        return told, []
+    return told, [data_uri(kind, path.read_bytes())]

@@ -24,7 +24,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
 
     Several DIRs are runs on the same image with different seeds: their chains are put together, and R-hat compares
     them. A scene file is reported too, without what only a posterior has. The page shows what `derender simulate
-    DIR` found, and pictures that move (.gif, .webp) in DIR.
+    DIR` found last, with its --animate DIR/FILE.gif (or .webp).
 
     \b
     Examples:

@@ -115,7 +115,7 @@ def command(
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
     P(stable) and each object's P(falls), with their Monte Carlo errors; of what the search may have missed no draw
     tells, so that half of that probability counts as stable, and is said. What is said of a folder stands on its page
-    too, with animations that lie in it (`derender view`). Several scenes make a table; so do the scenes that -n draws
+    too, with an animation that lies in it (`derender view`). Several scenes make a table; so do those that -n draws
     from a prior, which are those of `derender sample PRIOR -n N` with the same seed.
 
     Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, whatever their shape, unless the scene file
@@ -165,7 +165,9 @@ def command(
         talk.say(f"wrote {settle}")
     if animate is not None:
         _animate(animate, source, best, talk)
-    text = json.dumps({**found, "duration": duration, **made})
+    made_here = animate is not None and Path(animate).resolve().parent == Path(paths[0]).resolve()
+    animation = Path(str(animate)).name if made_here else None
+    text = json.dumps({**found, "duration": duration, "animation": animation, **made})
     if Path(paths[0]).is_dir():
         _keep(Path(paths[0]), text, talk)
     if as_json:

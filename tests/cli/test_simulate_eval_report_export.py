@@ -123,6 +123,9 @@ def test_simulate_a_posterior(capsys, folder):
     again = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1", "--jobs", "1")[1])
     assert again["p_stable"] == found["p_stable"]
     assert "P(stable) = " in run(capsys, "simulate", "out", "--draws", "8")[1]
+    for path, told in (("out/moves.gif", "moves.gif"), ("moves.gif", None)):  # the page shows its own only
+        run(capsys, "simulate", "out", "--draws", "0", "--duration", "0.2", "--animate", path)
+        assert json.loads((folder / "out" / "simulation.json").read_text())["animation"] == told
 
 
 @pytest.mark.slow

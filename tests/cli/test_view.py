@@ -38,7 +38,9 @@ def folder(tmp_path):
     posterior.save(place / "posterior.npz")
     write_depth(place / "observation.npz", depth, CAMERA)
     (place / "scene.yaml").write_text(document_text(graph, CAMERA, LikelihoodPrior(), {"seed": 1}, place))
-    (place / "simulation.json").write_text(json.dumps({"verdict": "settles", "p_stable": 0.75}))
+    (place / "simulation.json").write_text(
+        json.dumps({"verdict": "settles", "p_stable": 0.75, "animation": "fall.gif"})
+    )
     (place / "fall.gif").write_bytes(b"GIF89a")
     return place
 
@@ -67,6 +69,7 @@ def test_a_missing_page_is_made_and_opened(folder, monkeypatch):
     view(folder, "--no-open")
     page = (folder / "report.html").read_text()
     assert "Simulated: falls" in page and "derender simulate &lt;x&gt;" in page
+    assert "data:image/gif" not in page  # it shows the simulation before
 
 
 @pytest.mark.parametrize(
