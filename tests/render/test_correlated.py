@@ -67,7 +67,10 @@ def written_down(observed, depth, values):
         before = [at for at in places[:2] if at in there]
         goes_on = density = 0.0
         if any(at in there for at in places[:4]):
-            shows = np.mean([anew(at)[0] / anew(at)[1] for at in before]) if before else 0.0
+            most = 0.04 * depth[r, c] + 5.0 * noise(depth[r, c])
+            near = [1.0 / (1.0 + ((observed[at] - depth[r, c]) / most) ** 4) for at in before]
+            shown = [anew(at)[0] / anew(at)[1] for at in before]
+            shows = np.dot(shown, near) / len(before) if before else 0.0
             goes_on = values["clump"] + (values["shared"] - values["clump"]) * shows
             some = sum(2**k for k, place in enumerate(places) if place in there)
             mean = sum(weights[k, some] * observed[at] for k, at in enumerate(places) if weights[k, some])
@@ -396,3 +399,25 @@ def test_a_chain_may_go_wherever_a_reach_leads():
     for reach in (1e-9, 1e9):
         weights, deviations = prediction({**VALUES, "reach": reach, "reach_down": reach})
         assert np.isfinite(weights).all() and (deviations > 0.0).all()
+
+
+@pytest.mark.parametrize("way", [(0, -1), (0, 1), (-1, 0), (1, 0)])
+def test_an_outline_is_likeliest_where_it_is(way):
+    """A solid that reached a pixel too far, to the left or up, hid its outline's cost from those after it."""
+    rows, columns = np.indices((30, 40))
+    values = {**VALUES, "sigma": 1e-4, "sigma_growth": 0.001, "step": 1e-4, "step_growth": 0.001, "outlier": 1e-4,
+              "shared": 0.9, "reach": 2.0, "reach_down": 1.4, "white": 0.03, "tail": 0.06, "alone": 0.1}  # fmt: skip
+
+    def solid(down, right, larger):
+        """Return depths of a solid before a farther floor, its outline on one side farther out by so many pixels."""
+        top, bottom = 10 - larger * (down < 0), 20 + larger * (down > 0)
+        left, end = 12 - larger * (right < 0), 28 + larger * (right > 0)
+        inside = (rows >= top) & (rows < bottom) & (columns >= left) & (columns < end)
+        return np.where(inside, 0.8, 1.0)
+
+    rng, found = np.random.default_rng(0), []
+    for _ in range(10):
+        observed = NOISE.field(rng, solid(*way, 0), values)
+        found.append([NOISE.log_density(observed, solid(*way, larger), values) for larger in (-1, 0, 1)])
+    smaller, right, larger = np.mean(found, axis=0)
+    assert right > smaller and right > larger

@@ -39,6 +39,10 @@ SHARE = (1e-5, 1.0 - 1e-3)  # of the variance that is each pixel's own, and of p
 REACH = (1e-9, 1e9)  # pixels: a chain may go wherever a distribution over it lets it
 NOTHING_SHARED = 700.0  # reaches apart, at which exp(-h) is still above 0
 RATE = (1e-30, 0.5)  # of outliers
+# Share of the depth, and standard deviations of the noise besides, by which a neighbour may be on the same slanted
+# surface or across an outline, over which noise seldom goes on. Did it, an outline would cost least where the solid
+# reaches a pixel too far, so that its own surface does not show there.
+JUMP, BEYOND = 0.04, 5.0
 WIDER = 4  # times as wide as the others are the heavy tails' innovations, about those of rounded disparities
 FIRM = 100.0  # pixels that have to tell of an innovation's weight as much as is believed before: that it is none
 SWEEPS = 3  # of Gauss and Seidel, in each row: the weights change little from one to the next
@@ -55,7 +59,8 @@ class Correlated(Likelihood):
 
     It goes on with probability `shared` after neighbours (the one to the left and the one above) that show their
     surfaces, with `clump` after such that do not, by the probability of that given their depths; and after diagonal
-    ones alone, for beside holes pixels share their noise too. So of many pixels few
+    ones alone, for beside holes pixels share their noise too. What is off m by d shows another surface, across an
+    outline, but for the share 1 / (1 + (d / j)^4), with j = .04 m + 5 (sigma + sigma_growth m^2). So of many pixels few
     tell of a surface; and what solids are not as they are modelled costs once where it begins and little where it goes
     on, yet something at each pixel.
 
@@ -126,11 +131,14 @@ class Correlated(Likelihood):
         value, model, spread, surface, outliers = mixture(observed, depth, values)
         seen, anew = value > 0.0, surface + outliers
         height, width = depth.shape
-        both = np.pad([np.where(seen, surface / anew, 0.0), seen], ((0, 0), (1, 1), (1, 1)))
-        before = [both[:, 1 - up : 1 - up + height, 1 - left : 1 - left + width] for up, left in NEIGHBOURS[:NEAREST]]
-        shows, count = np.sum(before[:2], axis=0)
+        each = np.pad([np.where(seen, surface / anew, 0.0), seen, value], ((0, 0), (1, 1), (1, 1)))
+        before = [each[:, 1 - up : 1 - up + height, 1 - left : 1 - left + width] for up, left in NEIGHBOURS[:NEAREST]]
+        most = JUMP * model + BEYOND * spread
+        shows = sum(shown / (1.0 + ((there - model) / most) ** 4) for shown, _, there in before[:2])
+        count = before[0][1] + before[1][1]
         goes_on = values["clump"] + (values["shared"] - values["clump"]) * shows / np.maximum(count, 1.0)
-        return seen, value, model, spread, anew, np.where(np.any([there for _, there in before], axis=0), goes_on, 0.0)
+        follows = np.any([there for _, there, _ in before], axis=0)
+        return seen, value, model, spread, anew, np.where(follows, goes_on, 0.0)
 
     def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
@@ -308,8 +316,10 @@ def draw(rng, result, model, numbers, weights, deviations):
             m = model[row - 2, column - 2]
             spread, count, before = sigma + growth * m * m, 0, 0.0
             for up, back in NEIGHBOURS[:2]:
-                if result[row - up, column - back] > 0.0:
-                    count, before = count + 1, before + shows[row - up, column - back]
+                there = result[row - up, column - back]
+                if there > 0.0:
+                    count += 1
+                    before += shows[row - up, column - back] / (1.0 + ((there - m) / (JUMP * m + BEYOND * spread)) ** 4)
             mean, off = predicted(result, row, column, weights, deviations, step, step_growth)
             carry = carried(left, row, column, shares)
             follows = any_nearest(result, row, column)

@@ -9,8 +9,20 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.likelihoods import Likelihood, likelihoods
 from derender.render.raycast.engine import change_blur, for_steps, load_state, new_engine, rescore_state
-from derender.render.raycast.region import pixel_log_densities
-from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState, array_by_array
+from derender.render.raycast.state import (
+    CURRENT,
+    DEPTH,
+    GAUSSIAN,
+    GOING_ON,
+    LIKELIHOOD,
+    OBSERVED,
+    OBSERVED_IMAGE,
+    PAD,
+    SCORE,
+    SIGMA,
+    EngineState,
+    array_by_array,
+)
 from derender.scene.solids import Solids
 
 
@@ -131,9 +143,13 @@ class DepthEvaluator:
     def per_pixel(self) -> np.ndarray:
         """Return the log density of each pixel under the current scene, (height, width) float64."""
         state = self._loaded()
-        result = np.zeros((self.camera.height, self.camera.width))
-        pixel_log_densities(state.settings, state.parameters, state.images, result)
-        return result
+        seen = slice(PAD, PAD + self.camera.width)
+        score = state.images[SCORE + CURRENT, :, seen].astype(float)
+        if state.settings[LIKELIHOOD] != GAUSSIAN:
+            return score
+        sigma = state.parameters[SIGMA]
+        density = -0.5 * score / (sigma * sigma) - np.log(sigma) - 0.5 * np.log(2.0 * np.pi)
+        return np.where(np.isnan(state.images[OBSERVED_IMAGE, :, seen]), 0.0, density)
 
     def model_depth(self) -> np.ndarray:
         """Return the clean model image of the current scene, with the background wall: (height, width) float32."""

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import call_for_nothing, call_for_two_numbers, njit
+from derender.render.likelihoods.correlated import BEYOND, JUMP
 from derender.render.raycast.convex import DISCRIMINANT, FACES, QUADRIC_B
 from derender.render.raycast.lane_names import (
     LANES,
@@ -37,12 +38,12 @@ from derender.render.raycast.lane_names import (
     zero_sum,
 )
 from derender.render.raycast.state import (
+    ANEW,
     BACKGROUND,
     BLUR,
     CORRELATED,
     CURRENT,
     DEPTH,
-    GAUSSIAN,
     GOING_ON,
     HEIGHT,
     LIKELIHOOD,
@@ -442,22 +443,6 @@ def _score_even(parameters, images, half, left, right, top, bottom):
     return sum_lanes(new), sum_lanes(old)
 
 
-@njit(cache=True, nogil=True, borrows=True)
-def pixel_log_densities(settings, parameters, images, result):
-    """Write each pixel's log density under the current scene into `result` (H, W) float64; 0 where there is none."""
-    sigma = parameters[SIGMA]
-    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi)
-    for row in range(settings[HEIGHT]):
-        for column in range(settings[WIDTH]):
-            score = images[SCORE + CURRENT, row, column + PAD]
-            if settings[LIKELIHOOD] != GAUSSIAN:
-                result[row, column] = score
-            elif math.isnan(images[OBSERVED_IMAGE, row, column + PAD]):
-                result[row, column] = 0.0
-            else:
-                result[row, column] = -0.5 * score / (sigma * sigma) - constant
-
-
 # entries of `parameters`, as `Correlated.row` lays them out
 SHARED, CLUMP = range(LIKELIHOOD_PARAMETERS + 4, LIKELIHOOD_PARAMETERS + 6)  # of one that neighbours share, after FAR
 
@@ -471,28 +456,38 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     going_on, shows = images[len(images) - GOING_ON], images[len(images) - SHOWS + half]
+    densities = images[len(images) - ANEW]
     constants = _constants(parameters)
+    sigma, growth = constants[0], constants[1]
     clump = splat(np.float32(parameters[CLUMP]))
     more = splat(np.float32(parameters[SHARED] - parameters[CLUMP]))
     zero, one, nothing, none = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(1e-30)), splat(NO_RETURN)
+    jump, beyond = splat(np.float32(JUMP)), splat(np.float32(BEYOND))
     for row in range(top, bottom):
         for column in range(left, right, LANES):
             value, surface, outliers = _mixture(load(observed, row, column), load(score, row, column), constants)
             anew = add(surface, outliers)
             store(shows, row, column, where_at_least(value, nothing, divide(surface, anew), none))  # not where 0 or NaN
-            store(score, row, column, anew)
+            store(densities, row, column, anew)
         above = max(row - 1, 0)
         first = splat(np.float32(0)) if row >= 1 else splat(np.float32(2))  # more than any: no row is above the first
         for column in range(left, right, LANES):
             west, north = load(shows, row, column - 1), load(shows, above, column)
             by_west, by_north = where_at_least(west, zero, one, zero), where_at_least(north, first, one, zero)
-            shown = add(multiply(by_west, west), multiply(by_north, north))
+            told, model = load(observed, row, column), load(score, row, column)
+            value = absolute(told)
+            model = where_at_least(told, zero, model, minimum(model, value))  # as in `_mixture`
+            most = multiply_add(beyond, multiply_add(growth, multiply(model, model), sigma), multiply(jump, model))
+            off_west = divide(subtract(absolute(load(observed, row, column - 1)), model), most)
+            off_north = divide(subtract(absolute(load(observed, above, column)), model), most)
+            off_west, off_north = multiply(off_west, off_west), multiply(off_north, off_north)
+            west = where_at_least(west, zero, divide(west, multiply_add(off_west, off_west, one)), zero)
+            north = where_at_least(north, first, divide(north, multiply_add(off_north, off_north, one)), zero)
             count = add(by_west, by_north)
-            goes_on = multiply_add(more, divide(shown, maximum(count, one)), clump)
+            goes_on = multiply_add(more, divide(add(west, north), maximum(count, one)), clump)
             beside = load(going_on, row, column)  # 0 where none of the nearest returned
             goes_on = where_at_least(add(count, beside), nothing, goes_on, zero)
-            density = multiply_add(goes_on, beside, multiply(subtract(one, goes_on), load(score, row, column)))
-            value = absolute(load(observed, row, column))
+            density = multiply_add(goes_on, beside, multiply(subtract(one, goes_on), load(densities, row, column)))
             result = where_at_least(value, nothing, logarithm(maximum(density, nothing)), zero)
             old = accumulate(old, load(current, row, column))
             store(score, row, column, result)

@@ -33,7 +33,7 @@ LIKELIHOOD_PARAMETERS, PARAMETERS = 7, 15
 # images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes,
 # and under CORRELATED what its scores need
 OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)
-SHOWS, GOING_ON = 2, 3  # of CORRELATED, from the end: of both scenes, and of the image alone
+SHOWS, GOING_ON, ANEW = 2, 3, 4  # of CORRELATED, from the end: of both scenes, of the image alone, and scratch
 NO_RETURN = np.float32(-1.0)  # in SHOWS
 
 
@@ -43,13 +43,14 @@ class EngineState(NamedTuple):
     parameters : (PARAMETERS,) float64: camera, blur's reach, the likelihood's numbers. OBSERVED is the number of pixels
         with a return. SIGMA may be written at any time: with the gaussian likelihood `log_likelihood_of` is right at
         once, with others after `rescore_state`.
-    images : (5 + 2 M, H, P; under CORRELATED 8 + 2 M) float32; pixel i of a row is at column i + PAD. [OBSERVED_IMAGE]
+    images : (5 + 2 M, H, P; under CORRELATED 9 + 2 M) float32; pixel i of a row is at column i + PAD. [OBSERVED_IMAGE]
         metres; NaN in the padding and for missing pixels (gaussian; under others they are 0, and below zero where they
         show what is no part of the scene, see `Robust`), [DEPTH + half] clean model depth, edges replicated, [SCORE +
         half] each pixel's squared residual (gaussian) or log density (others), of the candidate only while it is
         proposed, [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only,
         [-GOING_ON] the density of each pixel that goes on as earlier ones do, see `Correlated`, [-SHOWS + half] the
-        probability that each shows its surface, NO_RETURN where nothing returned.
+        probability that each shows its surface, NO_RETURN where nothing returned, [-ANEW] scratch: the density of each
+        pixel that tells anew.
     pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64.
     regions : (2, 2 N + 1, 4) int64: the proposal's regions, as drawn, and as scored (with the blur's margin).
     """
@@ -135,13 +136,13 @@ def new_state(
     is_mesh = np.asarray(solids.kind) == MESH
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
     last = MESHES + 2 * int(is_mesh.sum())
-    images = np.empty((last + (GOING_ON if kind == CORRELATED else 0), height, padded), np.float32)
+    images = np.empty((last + (ANEW if kind == CORRELATED else 0), height, padded), np.float32)
     images[DEPTH:SCORE] = 1.0
     images[SCORE:MESHES] = 0.0  # the padding never scores
     images[MESHES:last] = 1.0
     images[last:] = NO_RETURN
     if beside is not None:
-        images[last, :, PAD : PAD + width] = beside
+        images[-GOING_ON, :, PAD : PAD + width] = beside
     returned = write_observed(
         images[OBSERVED_IMAGE], np.ascontiguousarray(observed, np.float64), bool(kind == GAUSSIAN)
     )
