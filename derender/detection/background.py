@@ -44,6 +44,9 @@ DOWN = 0.75  # of its top's height over the support, how much a body shows at le
 LARGE = 0.02  # share of the pixels with a depth: what shows in less, cut off by the border, is a detail
 SIDES = 0.5  # level part of the unit sight line, from which on sides show at more than half of their height
 FLAT, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level top with up; metres below the top; share of the pixels
+# Of fewer pixels, as of a top seen at a grazing angle, it is one where they reach so far, in metres, in each direction:
+# no bin's wall or partition is so thick.
+TOP_SEEN, THICK = 0.02, 0.15
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 FROM_ABOVE = 0.1  # level part of the floor's normal, in the image, below which no way in the image is up
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
@@ -181,7 +184,11 @@ def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     normal : (K, 3) of the surface at each point.
     """
     top = np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SHARE) - TOP
-    return np.mean((points[:, 2] > top) & (normal[:, 2] > FLAT)) > TOP_SHARE
+    share = np.mean((points[:, 2] > top) & (normal[:, 2] > FLAT))
+    if share > TOP_SHARE:
+        return True
+    level = points[(points[:, 2] > np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SEEN) - TOP) & (normal[:, 2] > FLAT)]
+    return len(level) > TOP_SEEN * len(points) and extents(level).min() > THICK
 
 
 def shows_foot(surface: SeenSurface, mask: np.ndarray, beyond: np.ndarray, frame: Sequence[int]) -> bool:
@@ -267,10 +274,15 @@ def is_background(
 
 def length(points: np.ndarray) -> float:
     """Return the greatest extent of points (K, 3) along the support, in metres."""
+    return float(extents(points).max())
+
+
+def extents(points: np.ndarray) -> np.ndarray:
+    """Return the extents (D,) of points (K, 3) in several directions along the support, in metres."""
     angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     along = points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
     low, high = ends_of(along, ENDS)
-    return float((high - low).max())
+    return high - low
 
 
 def floats(surface: SeenSurface, mask: np.ndarray) -> bool:
