@@ -626,6 +626,15 @@ def test_chains_that_do_not_agree_have_ended_when_the_budget_is_spent(monkeypatc
     assert clock[0] == 4.0  # 1 + 1 + 2, and 4 more would be too many
 
 
+def test_many_draws_end_with_the_budget(monkeypatch):
+    """Ten million went on for minutes after it was spent, and no signal ended them."""
+    sensor, chart, values = observe(np.random.default_rng(6), cube(), {"sigma": 0.003}, camera(40, 30))
+    monkeypatch.setattr(metropolis, "AT_ONCE", 100)
+    for until, count in ((time.monotonic(), 50), (None, 400), (time.monotonic() + 600, 400)):
+        drawn = metropolis.sample(np.random.default_rng(7), chart, sensor, values, 2, 400, 2, until=until)
+        assert [len(each.values) for each in drawn] == 2 * [count]
+
+
 def test_within_a_budget_chains_go_on_until_what_is_told_is_to_be_trusted():
     """Not until the coordinates agree, which are other numbers: here they did at once, and a theta's R-hat was 1.1."""
     sensor, chart, values = observe(np.random.default_rng(6), stack(), {"sigma": 0.003}, camera(40, 30))

@@ -79,6 +79,7 @@ TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is
 # Metres behind the camera where a solid is not seen; nats by which images that are the same differ, by rounding.
 OUT_OF_SIGHT, SAME = 1e3, 1e-4
 BLURRINGS = 20  # times in a chain that its views' blurs are drawn anew, where they are open
+AT_ONCE = 200_000  # steps of a chain, some seconds, between which it can be interrupted, or ends as its time is over
 
 
 class Target(NamedTuple):
@@ -319,7 +320,8 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
 
     only : coordinates that may move, None for all. open_blur : whether each view's blur is drawn too; a draw's density
         is under its own then.
-    until : time.monotonic() by which chains that do not agree have gone on; None: while it is worth it. rounds : of the
+    until : time.monotonic() by which chains that do not agree have gone on, and many draws end; None: while it is worth
+        it, and all are made. rounds : of the
         warm-up, other than ROUNDS. agreed : whether chains do, by their Draws.
     """
     members = list(range(len(values)) if only is None else only)
@@ -347,7 +349,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
         if not former:
             thin += int(thin * np.mean(blocks.table[PULL, :-1] < 0))
-        drawn = final_draws(rng, walkers, steps, count, thin, sensor, blurs)
+        drawn = final_draws(rng, walkers, steps, count, thin, sensor, blurs, until)
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
         if until is None:
@@ -364,22 +366,30 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     return drawn
 
 
-def final_draws(
-    rng: np.random.Generator, walkers: list[Walker], steps: Proposals, count: int, thin: int, sensor: Sensor, blurs: Any
-) -> list[Draws]:
+def final_draws(rng: np.random.Generator, walkers: list[Walker], steps: Proposals, count: int, thin: int,
+                sensor: Sensor, blurs: Any, until: float | None) -> list[Draws]:  # fmt: skip
     """Return the Draws of Walkers, `thin` steps apart, their steps as they are.
-    blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds."""
+    blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
+    until : see `sample`."""
     pieces: list[list[Draws]] = []
     proposals = [steps] * len(walkers)
     ways = blurrings(walkers[0].engine, sensor, blurs)
-    for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(ways) else 1):
+    for length in lengths(count, thin, BLURRINGS if any(ways) else 1):
+        if pieces and until is not None and time.monotonic() > until:
+            break
         walkers = [with_blurs_drawn(rng, walker, ways) for walker in walkers]
-        pieces.append(side_by_side(rng, walkers, proposals, 1.0, 0.0, len(piece), thin))
+        pieces.append(side_by_side(rng, walkers, proposals, 1.0, 0.0, length, thin))
     joined = [tuple(np.concatenate(arrays) for arrays in zip(*[each[:2] for each in chain], strict=True))
               for chain in zip(*pieces, strict=True)]  # fmt: skip
     accepted = np.mean([[each.accepted for each in piece] for piece in pieces], axis=0)
     return [Draws(values, densities, float(share))
             for (values, densities), share in zip(joined, accepted, strict=True)]  # fmt: skip
+
+
+def lengths(count: int, thin: int, pieces: int) -> list[int]:
+    """Return how many draws each of at least so many pieces of a chain of `count` has."""
+    pieces = min(max(pieces, -(-count * thin // AT_ONCE)), count)
+    return [len(piece) for piece in np.array_split(np.arange(count), pieces)]
 
 
 class Blurring(NamedTuple):
