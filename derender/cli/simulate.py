@@ -234,18 +234,21 @@ def _table(
     from derender.report.tables import text_table
     from derender.results.table import as_csv, as_lines
 
-    rows = []
+    rows, stopped = [], None
     sources: Iterable[tuple[str, Found | None]] = ((path, None) for path in paths)
     if count is not None:
         drawn = chain.from_iterable(drawn_scenes(path, count, ask["seed"]) for path in paths)
         sources = ((found.name, found) for found in drawn)
-    for name, found in talk.counted(sources, len(paths) * (count or 1), "simulating scene"):
-        try:
-            found = found or read_scene(name, ask["seed"])
-            rows.append(row_of(name, _one(found, what, ask, margin or as_json, False, Talk(-1))[0]))
-        except DerenderError as error:
-            talk.warn(f"{name}: {error}")
-            rows.append(row_of(name, {"fault": str(error)}))
+    try:
+        for name, found in talk.counted(sources, len(paths) * (count or 1), "simulating scene"):
+            try:
+                found = found or read_scene(name, ask["seed"])
+                rows.append(row_of(name, _one(found, what, ask, margin or as_json, False, Talk(-1))[0]))
+            except DerenderError as error:
+                talk.warn(f"{name}: {error}")
+                rows.append(row_of(name, {"fault": str(error)}))
+    except KeyboardInterrupt as interrupt:  # the rows so far are kept
+        stopped = interrupt
     if output is not None:
         write_text(output, as_csv(rows, COLUMNS) if output.lower().endswith(".csv") else as_lines(rows))
         talk.say(f"wrote {output}")
@@ -255,6 +258,9 @@ def _table(
         shown = ("scene", "verdict", "p_stable", "margin", "fallen")
         cells = [[_cell(row[key]) for key in shown] for row in rows]
         click.echo(text_table(cells, shown))
+    if stopped is not None:
+        talk.warn(f"the table has the first {len(rows)} of {len(paths) * (count or 1)} scenes")
+        raise stopped
     return 1 if any(row["fault"] for row in rows) else 0
 
 

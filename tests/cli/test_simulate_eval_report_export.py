@@ -10,7 +10,7 @@ import pytest
 
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
-from derender.cli import main
+from derender.cli import main, simulate
 from derender.document import read_document, write_document
 from derender.render.raycast.depth import render_depth
 from derender.report.scene_json import scene_json
@@ -113,6 +113,21 @@ def test_simulate_the_scenes_that_are_drawn_from_a_prior(capsys, folder):
     status, _, talk = run(capsys, "simulate", "stands.yaml", "-n", "3")
     assert status == 1 and "this is a scene, not a prior" in talk and "leave out -n" in talk
     shutil.rmtree("drawn")
+
+
+def test_an_interrupted_table_keeps_the_scenes_so_far(capsys, folder, monkeypatch):
+    one, told = simulate._one, []
+
+    def interrupted(*arguments):
+        told.append(arguments)
+        if len(told) == 3:
+            raise KeyboardInterrupt
+        return one(*arguments)
+
+    monkeypatch.setattr(simulate, "_one", interrupted)
+    status, _, talk = run(capsys, "simulate", "stack", "-n", "5", "--engine", "statics", "-o", "table.csv")
+    assert status == 130 and "the first 2 of 5 scenes" in talk
+    assert len(list(csv.DictReader((folder / "table.csv").open()))) == 2
 
 
 def test_simulate_a_posterior(capsys, folder):
