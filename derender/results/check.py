@@ -101,6 +101,9 @@ LEAST_AS_WALL, SIDEWAYS, FACED, OVERHEAD = 0.6, 0.6, 0.95, 1.5
 # as few return elsewhere.
 MOST_MISSING, MORE_MISSING, NEARLY_ALL = 0.5, 2.0, 0.9
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
+MOST_OPEN = (
+    0.08  # share of them that one region may show something else: an arch's opening, or something missed before it
+)
 FEW_PIXELS = 12  # of a solid say nothing of it as a whole
 FILLING = 0.5  # share of the image that one solid may fill
 CUT = 0.1  # share of a solid's outline that lies on the image's border, to be told
@@ -324,6 +327,9 @@ def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt
         elif fitting < LEAST_FITTING:
             words = f"{name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
             told.append((words, True))
+        elif other := [each for each in coherent(mask & valid & ~fit.explained, mask) if each.share > MOST_OPEN]:
+            words = f"{percent(other[0].share)} of what is seen where {name} should be is something else"
+            told.append((f"{words}, {region.where}", True))
         if filled > FILLING:
             told.append((f"{name} fills {percent(filled)} of the image, so that little shows what it stands on", True))
         elif share_cut > CUT:

@@ -47,7 +47,7 @@ MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely 
 # One thing at less than three to two is too much. (Of 57 answers to variants of labelled real frames with nothing else
 # to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
 MOST_WRONG, FEW = 0.4, 0.05
-# Probability that the search has missed what is there, beyond which no structure that it found is as likely. ("Nothing"
+# Probability that the search has missed what is there, from which on no structure that it found is as likely. ("Nothing"
 # was told with .07, and trusted, of cartons from whose pixels 15 % returned. Of 163 answers to variants of labelled
 # real frames two were trusted so: one was wrong, the other "nothing" of an empty tote.)
 MOST_MISSED = 0.5
@@ -134,8 +134,8 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         parts = {f"of the {len(solids)} objects {none:.1f} are expected to be clutter, or pieces of others": none,
                  f"{more:.1f} objects are expected in what else is seen": more}  # fmt: skip
         doubts.append(", and ".join(words for words, count in parts.items() if count >= TOLD_COUNT))
-    if (missed := posterior.meta.get("missed", 0.0)) > MOST_MISSED:
-        doubts.append(f"something was missed with a probability of {missed:.2f}: nothing that was found is as likely")
+    if (missed := posterior.meta.get("missed", 0.0)) >= MOST_MISSED:
+        doubts.append(f"something was missed with a probability of {missed:.2f}: nothing that was found is likelier")
     told += [Doubt(f"{name} touches nothing: what bears it was not found", about=(name,))
              for name in posterior.meta.get("hanging", ())]  # fmt: skip
     if posterior.meta.get("no_floor"):  # what else is there is not known; what is told stands free, whatever bears it

@@ -59,7 +59,8 @@ def test_a_thing_that_was_missed_is_told_and_where():
 def test_what_a_doubt_is_about_is_in_doubt_and_what_stands_on_it():
     """What is not explained apart from a solid says nothing of it; what touches it does."""
     seen = image(scene(*TRUE.vertices[1:], cube("touching", -0.2, -0.11, theta=0.3)))
-    (doubt,) = doubts_of(TRUE, seen)
+    doubt, before = doubts_of(TRUE, seen)
+    assert before.about == ("left",)  # it hides much of that
     assert doubt.serious and set(doubt.about) == {"left"}
     upon = Vertex("upon", "cube", {"side": 0.05}, "left", face(u=0.5, v=0.5, theta=0.0))
     stacked = replace(TRUE, vertices=(*TRUE.vertices, upon))
@@ -117,6 +118,19 @@ def test_what_is_as_likely_an_object_as_not_and_is_not_told_is_doubted():
 def test_a_solid_that_is_not_there_is_told():
     (doubt,) = [d for d in doubts_of(TRUE, image(TRUE.remove("right"))) if d.words.startswith("right ")]
     assert doubt.serious and "explains" in doubt.words
+
+
+def test_an_opening_in_a_solid_is_told_of_it():
+    """An arch's, through which the floor is seen: little of the image, but not of what was taken for a wall."""
+    seen, behind = image(TRUE), image(TRUE.remove("left"))
+    rows, columns = np.nonzero(fit_of(TRUE, CAMERA, seen, LIKELIHOOD).label == 2)
+    for high, told in ((3, False), (8, True)):
+        opening = np.s_[int(rows.mean()) : int(rows.mean()) + high, int(columns.mean()) : int(columns.mean()) + 6]
+        arch = seen.copy()
+        arch[opening] = behind[opening]
+        serious = [doubt for doubt in doubts_of(TRUE, arch) if doubt.serious]
+        assert [doubt.about for doubt in serious] == ([("left",)] if told else [])
+        assert all("of what is seen where left should be is something else" in doubt.words for doubt in serious)
 
 
 def test_a_ghost_where_nothing_returned_is_told():
