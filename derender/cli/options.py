@@ -146,6 +146,13 @@ class Seed(click.IntRange):
     def _describe_range(self) -> str:
         return "x>=0"
 
+    def convert(self, value: Any, param: Any, ctx: Any) -> int:
+        """Return the number."""
+        found = click.INT.convert(value, param, ctx)
+        if found > (self.max or 0):
+            self.fail(f"{value} is more than a seed can be, {self.max}", param, ctx)
+        return super().convert(value, param, ctx)
+
 
 class Finite(click.FloatRange):
     """A number in a range; NaN is in none, though no bound turns it away."""

@@ -54,6 +54,11 @@ def test_the_noise_is_that_of_the_likelihood(folder):
     assert residual.std() == pytest.approx(0.002, rel=0.02 + 5 / math.sqrt(2 * residual.size))
 
 
+def test_a_seed_of_more_than_63_bits_is_told_the_most(folder, capfd):
+    """It was "not in the range x>=0", in which it is."""
+    assert run("sample", "--seed", 10**20) == 2 and f"more than a seed can be, {2**63 - 1}" in capfd.readouterr().err
+
+
 def test_a_seed_gives_the_same_bytes_and_draws_do_not_depend_on_their_number(folder):
     assert run("sample", "stack", "--seed", 5, "-n", 3, "-o", "three") == 0
     assert run("sample", "stack", "--seed", 5, "-n", 2, "-o", "two") == 0
