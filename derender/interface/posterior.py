@@ -55,7 +55,7 @@ class Found(NamedTuple):
         size_error : (3,), half of those; NaN: no draws.
     pose : (4, 4), object to camera.
     parent : what it rests on; parent_probability : of each thing that it may rest on, by name.
-    probability : that the object is there.
+    probability : that the object is there. trusted : whether no doubt is about it; None where nobody judged it.
     """
 
     name: str
@@ -67,6 +67,7 @@ class Found(NamedTuple):
     parent_probability: dict[str, float]
     probability: float
     type_probability: dict[str, float]
+    trusted: bool | None = None
 
     @property
     def size_error(self) -> np.ndarray:
@@ -120,7 +121,7 @@ class Objects(tuple[Found, ...]):
                 row |= {side: float(found.size[k]), f"{side}_error": float(found.size_error[k])}
                 row |= {f"{side}_low": low, f"{side}_high": high}
             row |= dict(zip("xyz", map(float, found.pose[:3, 3]), strict=True))
-            rows.append(row | {"rests_on": found.parent, "probability": found.probability})
+            rows.append(row | {"rests_on": found.parent, "probability": found.probability, "trusted": found.trusted})
         return pandas.DataFrame(rows)
 
 
@@ -184,6 +185,7 @@ class Posterior(kept.Posterior):
                 Found(
                     item["name"], item["type"], np.array(item["size"]), interval, np.array(item["pose"]),
                     item["parent"], item["parent_probability"], item["probability"], item["type_probability"],
+                    item.get("trusted"),
                 )
             )  # fmt: skip
         return Objects(found)
