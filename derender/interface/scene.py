@@ -87,7 +87,7 @@ class Scene:
         if Path(path).suffix.lower() in (".yaml", ".yml"):
             write_document(path, self.graph, self.camera, self.likelihood)
             return
-        export_scene(self.graph, path, self.camera)
+        export_scene(self.graph, path, self.camera, besides=(".yaml",))
 
     @only_its_keywords
     def render(self, camera: Camera | str | Path | None = None, noise: bool = False, seed: int = 0) -> DepthImage:

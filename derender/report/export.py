@@ -33,15 +33,19 @@ MILLIMETRES = 1000.0
 PLANE_THICKNESS = 0.01  # metres, of the box that stands for a plane in URDF
 
 
-def export_scene(graph: SceneGraph, path: str | Path, camera: Camera | None = None) -> list[Path]:
+def export_scene(
+    graph: SceneGraph, path: str | Path, camera: Camera | None = None, besides: Sequence[str] = (".rrd",)
+) -> list[Path]:
     """Write a scene in the format of the suffix, and return the names of the files written.
+
+    besides : suffixes that the caller takes too, to be told where this is none.
 
     Raises DerenderError : a suffix that none of the formats has, or a folder that cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in EXPORTERS:
-        known = " ".join([*EXPORTERS, ".rrd"])
+        known = " ".join([*EXPORTERS, *besides])
         raise DerenderError(f"no format has the suffix {suffix!r}", path, f"choose from {known}")
     written = []
     for name, data in EXPORTERS[suffix](graph, path, camera).items():

@@ -284,6 +284,7 @@ def test_objects_and_structures(posterior):
     assert not first.size_error.any()  # the prior says how big they are
     assert first.pose.shape == (4, 4) and sum(first.parent_probability.values()) == pytest.approx(1.0)
     assert first.type_probability == {"cube": 1.0}
+    assert first.trusted is (names[0] not in posterior.meta["in_doubt"])
     open_type = posterior.objects.__class__([first._replace(type_probability={"box": 0.65, "cube": 0.35})])
     assert "cube (p .35)" in repr(open_type) and "cube (p" not in repr(posterior.objects)
     pandas = pytest.importorskip("pandas")
@@ -349,6 +350,8 @@ def test_a_scene_goes_elsewhere(posterior, tmp_path):
     assert ElementTree.fromstring(scene.to_mjcf()).tag == "mujoco"
     scene.save(tmp_path / "scene.yaml")
     scene.save(tmp_path / "scene.glb")
+    with pytest.raises(DerenderError, match="choose from .*yaml"):
+        scene.save(tmp_path / "scene.txt")
     assert derender.load(tmp_path / "scene.yaml").graph == scene.graph
     posterior.save(tmp_path / "kept")  # no suffix tells what it is
     assert derender.load(tmp_path / "kept").structures[0].words == posterior.structures[0].words
