@@ -47,7 +47,7 @@ MAY_EXIST = 0.45  # the same of what is not told, from which on it is as likely 
 # One thing at less than three to two is too much. (Of 57 answers to variants of labelled real frames with nothing else
 # to doubt, and with up to .6 expected, 7 of 51 were not right with less, and 3 of 6 with more.)
 MOST_WRONG, FEW = 0.4, 0.05
-# Probability that the search has missed what is there, from which on no structure that it found is as likely. ("Nothing"
+# Probability that the search has missed what is there, from which on no structure found is likelier. ("Nothing"
 # was told with .07, and trusted, of cartons from whose pixels 15 % returned. Of 163 answers to variants of labelled
 # real frames two were trusted so: one was wrong, the other "nothing" of an empty tote.)
 MOST_MISSED = 0.5
