@@ -28,6 +28,7 @@ MOST_FPS = 100_000.0
 GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
 FAR_APART, ONE_G = 5.0, 0.1  # seconds between frames, and m/s^2 off 1, that look like another unit
 DARK = 0.5  # share of a film's usual pixels with depth below which a first frame is too dark to begin with
+UNREADABLE = 0.25  # share of frames that may be unreadable: of a film that lacks more, too little is seen to follow
 SAID = 5  # frames at most that a note names
 WHOLE, MOST_CHANNELS = (".npz", ".npy"), 4  # files that may hold a whole film; an array of more is no colour image
 
@@ -152,7 +153,7 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
 
     Raises DerenderError : no frame, frames of several sizes, time that runs backwards, whatever is wrong with a frame.
     """
-    files = frame_files(sources)
+    files, notes = frame_files(sources), list[str]()
     where = ", ".join(map(str, sources)) or "the film"
     if not files:
         raise DerenderError(
@@ -170,10 +171,8 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
             inside.times if timing.times is None else timing.times,
         )
     else:
-        seen, names = [], [path.name for path in files]
-        for path in files:
-            seen.append(read_depth(path, camera, depth_scale, may_be_empty=True))
-            check_size(seen[-1].depth, seen[0].depth, path)
+        names = [path.name for path in files]
+        seen, notes = _each_of(files, camera, depth_scale)
     frames = [each.depth for each in seen]
     shown = np.array([np.sum(np.isfinite(frame) & (frame > 0)) for frame in frames])
     if not shown.any():
@@ -185,9 +184,44 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
     guessed = rate is None and timing.times is None
     times = timing.times if timing.times is not None and fps is None else counted(names) / (rate or FPS)
-    camera_is_guess, notes = seen[0].camera_is_guess, (dark_start(dark, names[dark]),) if dark else ()
-    film = Film(names[dark:], frames[dark:], seen[0].camera, camera_is_guess, times[dark:], timing.gravity, guessed)
+    notes += [dark_start(dark, names[dark])] if dark else []
+    film = Film(names[dark:], frames[dark:], seen[0].camera, seen[0].camera_is_guess, times[dark:], timing.gravity,
+                guessed)  # fmt: skip
     return _completed(film._replace(notes=(*notes, *_odd_units(film))))
+
+
+def _each_of(files: list[Path], camera: Any, depth_scale: float | None) -> tuple[list[DepthImage], list[str]]:
+    """Return the frames of as many files, and what is said of those that cannot be read.
+
+    Raises DerenderError : the first cannot be read, or too many.
+    """
+    seen, faults = list[DepthImage](), dict[str, DerenderError]()
+    for path in files:
+        try:
+            found = read_depth(path, camera, depth_scale, may_be_empty=True)
+            check_size(found.depth, (seen or [found])[0].depth, path)
+        except DerenderError as error:
+            if not seen:
+                raise
+            faults[path.name], found = error, without_returns(seen[0])
+        seen.append(found)
+    if not faults:
+        return seen, []
+    first = next(iter(faults.values()))
+    if len(faults) > UNREADABLE * len(files):
+        what = f"{len(faults)} of {len(files)} frames cannot be read, this one because: {first.what}"
+        raise DerenderError(what, first.where, first.remedy)
+    return seen, [unreadable(_named(list(faults), range(len(faults))), first)]
+
+
+def without_returns(seen: DepthImage) -> DepthImage:
+    """Return a frame in which nothing returned, in place of one that cannot be read."""
+    return seen._replace(depth=np.full_like(seen.depth, np.nan))
+
+
+def unreadable(names: str, fault: DerenderError) -> str:
+    """Return what is said of frames that cannot be read."""
+    return f"{names} cannot be read ({fault.what}): taken as without depth"
 
 
 def shows(frame: np.ndarray) -> bool:

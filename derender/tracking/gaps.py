@@ -41,7 +41,7 @@ def repeated(frames: Sequence[np.ndarray]) -> list[int]:
     others = [share for share in changed if share > 0]
     if not others or np.median(others) < CHANGES:
         return []
-    return [t + 1 for t, share in enumerate(changed) if share == 0]
+    return [t + 1 for t, share in enumerate(changed) if share == 0 and np.any(frames[t + 1] > 0)]
 
 
 def lacking(times: np.ndarray) -> np.ndarray:

@@ -28,6 +28,8 @@ from derender.tracking.film import (
     read_film,
     read_timing,
     shows,
+    unreadable,
+    without_returns,
 )  # fmt: skip
 from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
@@ -94,9 +96,9 @@ def track_to_folder(
     Raises DerenderError : whatever is wrong with the frames, the camera or the folder.
     """
     started = time.monotonic()
-    coming = watched(sources, camera, depth_scale)
+    coming = watched(sources, camera, depth_scale, warn)
     film = first_of(coming, sources, camera, fps) if watch else read_film(sources, camera, depth_scale, fps)
-    as_it_came, enlargement = film.frames[0], smaller_image_of(film.frames[0])
+    enlargement = smaller_image_of(film.frames[0])
     if enlargement is not None:
         film = film._replace(frames=[enlargement.reduced(frame) for frame in film.frames],
                              camera=enlargement.camera(film.camera))  # fmt: skip
@@ -117,7 +119,6 @@ def track_to_folder(
         recorder = Recorder(film.frames[0], film.camera, start, film.gravity, step_of(film), moving_camera,
                             lambda depth: infer(depth, True))  # fmt: skip
         for path, seen in coming:
-            check_size(seen.depth, as_it_came, path)
             depth = seen.depth if enlargement is None else enlargement.reduced(seen.depth)
             came.append(path.name)
             missing = int(lacking(counted(came))[-1])
@@ -231,13 +232,24 @@ def first_of(coming: Iterator[tuple[Path, DepthImage]], sources: Any, camera: An
     )
 
 
-def watched(sources: Any, camera: Any, depth_scale: Any) -> Iterator[tuple[Path, DepthImage]]:
-    """Yield the frames of a folder that grows as they come, until none has come for some time."""
+def watched(sources: Any, camera: Any, depth_scale: Any, warn: Any) -> Iterator[tuple[Path, DepthImage]]:
+    """Yield the frames of a folder that grows as they come, until none has come for some time; one that cannot be read
+    is told and is without depth, but for the first."""
     taken, last = set[Path](), time.monotonic()
+    seen: DepthImage | None = None
     while time.monotonic() - last < PATIENCE:
         fresh = [path for path in frame_files(sources) if path not in taken]
         for path in fresh:
-            yield path, patiently(path, camera_of(sources, camera), depth_scale)
+            try:
+                found = patiently(path, camera_of(sources, camera), depth_scale)
+                check_size(found.depth, (seen or found).depth, path)
+            except DerenderError as error:
+                if seen is None:
+                    raise
+                warn(unreadable(path.name, error))
+                found = without_returns(seen)
+            seen = found
+            yield path, found
             taken.add(path)
             last = time.monotonic()
         if not fresh:

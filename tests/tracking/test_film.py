@@ -138,6 +138,28 @@ def test_a_film_that_is_watched_may_begin_dark_and_lack_frames(tmp_path, monkeyp
         run.track_to_folder([folder], Options(seed=1), tmp_path / "out", watch=True)
 
 
+def test_a_frame_that_cannot_be_read_is_told_and_without_depth(tmp_path, monkeypatch):
+    """One frame that was cut off while it was written ended the whole film."""
+    folder, told = write(tmp_path / "f", 9), []
+    for t in (4, 5):
+        (folder / f"frame_{t}.npy").write_bytes((folder / "frame_3.npy").read_bytes()[:1000])
+    film = read_film([folder])
+    assert [bool(np.isfinite(frame).any()) for frame in film.frames] == [n not in (4, 5) for n in range(9)]
+    assert len(film.notes) == 1 and film.notes[0].startswith(
+        "frame_4.npy, frame_5.npy cannot be read (the .npy file is"
+    )
+    monkeypatch.setattr(run, "PATIENCE", 0.1)
+    monkeypatch.setattr(run, "STALLED", 0.1)
+    came = [bool(np.isfinite(seen.depth).any()) for _, seen in run.watched([folder], None, None, told.append)]
+    assert came == [n not in (4, 5) for n in range(9)] and len(told) == 2 and "frame_5.npy cannot be read" in told[1]
+    np.save(folder / "frame_6.npy", np.ones((24, 32), np.float32))
+    with pytest.raises(DerenderError, match="3 of 9 frames cannot be read"):
+        read_film([folder])
+    (folder / "frame_0.npy").write_bytes(b"")
+    with pytest.raises(DerenderError, match="frame_0.npy: the file is empty"):
+        read_film([folder])
+
+
 def test_a_floor_that_nearly_agrees_with_gravity_may_be_level():
     """Gravity that was 3 degrees off told a friction of .226 to .244 where .283 was true."""
 
