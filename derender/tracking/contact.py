@@ -6,6 +6,7 @@ anywhere. Contact is with what lies below: where lowering the thing by a little 
 """
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from derender.physics.bodies import KIND_NAMES, Body
 
@@ -53,12 +54,14 @@ def evidence(gaps: np.ndarray, spread: np.ndarray, resting: np.ndarray) -> np.nd
     sigma = np.sqrt(spread**2 + slack**2)[:, :, None]
     with np.errstate(invalid="ignore"):
         here = -0.5 * (gaps / sigma) ** 2 - np.log(sigma * np.sqrt(2 * np.pi)) + np.log(ANYWHERE)
+        here = here - log_ndtr(gaps / sigma)  # in the air it is above: what goes into another is not there either
         change = np.abs(np.diff(gaps, axis=0))
     change = np.where(np.isfinite(change), change, np.inf)
     ends = np.full((1, *gaps.shape[1:]), np.inf)
     steady = np.minimum(np.concatenate([ends, change]), np.concatenate([change, ends]))
     steady = np.where(np.isfinite(steady), steady, STEADY if len(gaps) == 1 else UNSTEADY)
-    kept = 0.5 * (steady / UNSTEADY) ** 2 - 0.5 * (steady / STEADY) ** 2 + np.log(UNSTEADY / STEADY)
+    in_contact, in_the_air = (np.hypot(change, spread)[:, :, None] for change in (STEADY, UNSTEADY))
+    kept = 0.5 * (steady / in_the_air) ** 2 - 0.5 * (steady / in_contact) ** 2 + np.log(in_the_air / in_contact)
     here = here + np.clip(kept, -MOST_TOLD, MOST_TOLD)
     told[near] = np.maximum(here[near], NO_SUPPORT)
     told[:, :, NOTHING] = 0.0

@@ -54,3 +54,30 @@ def test_what_is_not_there_has_no_parent():
     poses = np.full((3, 1, 4, 4), np.nan)
     spread, sizes, floors = np.full((3, 1, 6, 6), np.nan), np.full((3, 1, 3), 0.1), np.tile(np.eye(4), (3, 1, 1))
     assert np.isnan(parent_probabilities(poses, spread, sizes, np.array([BOX]), floors, np.zeros((3, 1), bool))).all()
+
+
+def test_a_box_that_is_taken_for_too_large_is_not_in_the_air_where_it_goes_into_what_bears_it():
+    """Of a box half hidden, whose side was 2 cm too long, the frames after its first were said to hang in the air."""
+    poses = np.array([[translation(0, 0, 0.04 - 0.003 * t)] for t in range(8)])
+    chances = parent_probabilities(
+        poses, np.tile(np.eye(6) * 1e-6, (8, 1, 1, 1)), np.full((8, 1, 3), 0.1), np.array([BOX]),
+        np.tile(np.eye(4), (8, 1, 1)), np.zeros((8, 1), bool),
+    )  # fmt: skip
+    assert (chances[:, 0, FLOOR] > 0.9).all()
+
+
+def test_a_pose_that_is_not_seen_tells_nothing_of_what_bears_it():
+    """A box that was pushed behind another and went on unseen, as if it rose and sank, was lifted and placed."""
+    heights = 0.05 + 1e-3 * np.array([0, 0, 0, 13, 1, -11, -20, 0, 0, 0])
+    poses = np.array([[translation(0, 0, height)] for height in heights])
+    spread = np.tile(np.eye(6) * 1e-6, (10, 1, 1, 1))
+    spread[3:7] = np.eye(6) * 0.05**2
+    chances = parent_probabilities(
+        poses,
+        spread,
+        np.full((10, 1, 3), 0.1),
+        np.array([BOX]),
+        np.tile(np.eye(4), (10, 1, 1)),
+        np.zeros((10, 1), bool),
+    )
+    assert (chances[:, 0, FLOOR] > 0.5).all()
