@@ -7,8 +7,9 @@ A folder holds frame_000.npy ... (float32 metres, NaN where nothing returned), c
 m/s^2 in camera axes) and truth.json: in the form of track.json, and beside its keys `kind`, `fps`, `gravity`,
 `materials` (friction, restitution, kg of each object), `floor` (4x4, to camera),
 `speeds` of each object at the first frame (linear, angular, in camera axes) and `pixels` of it in each frame. Physics
-is MuJoCo's at steps of a quarter of a millisecond; `restitution` is that of the first impact as it was, where a bounce
-is the film's subject; elsewhere that of contacts as soft as can be.
+is MuJoCo's at steps of a quarter of a millisecond; parents are what bears a thing, hops of millimetres apart;
+`restitution` is that of the first impact as it was, where a bounce is the film's subject; elsewhere that of contacts as
+soft as can be.
 """
 
 import argparse
@@ -22,12 +23,12 @@ from arguments import at_least_one
 from derender.atomic import make_folder
 from derender.camera.sensor import SENSORS, find_sensor
 from derender.cli import status_of
+from worlds.films import GRAVITY, without_hops
 from worlds.made_scenes import camera_of, look_at
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
 FRAMES, SIZE = 24, (160, 120)
 STEP = 0.00025  # seconds
-GRAVITY = 9.81
 DENSITY = 500.0  # kg / m^3
 CONTACT_TIME = 0.002  # seconds, of a contact's spring: an impact is over within a few
 TOUCH = 0.0005  # metres: nearer than that two things touch, also where a sliding one hops for a step
@@ -146,7 +147,7 @@ class Film:
             touched.append(touch)
             load.append(lift)
         self.restitution = restitution_of(np.array(heights))
-        parents = []
+        parents, touched = [], without_hops(np.array(touched), STEP)
         for frame in range(FRAMES):
             window = slice(max(frame * steps - steps // 2, 0), frame * steps + steps // 2)
             share, mean = np.mean(touched[window], axis=0), np.mean(load[window], axis=0)

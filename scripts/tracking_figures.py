@@ -8,7 +8,8 @@
 
 Of an object-frame, the thing is lost where track.json has no pose or one off by more than LOST. A contact change is a
 frame in which the parent differs from that of the frame before; it is found where the same thing changes to the same
-parent within three frames; beside it stands what the same rule finds in the true poses. An identity is switched where a
+parent within three frames; beside it stands what the same rule finds in the true poses. Things that topple are those
+of the true poses too. An identity is switched where a
 thing's name is nearest to another true object in a later frame than at first, by more than both are wide. A full
 likelihood draws all solids anew, blurs and compares all pixels.
 """
@@ -24,6 +25,7 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.solids import KINDS as SOLIDS
 from derender.structures.options import Options
 from derender.tracking.contact import parent_probabilities
+from derender.tracking.events import events_of, topples
 from derender.tracking.film import Film
 from derender.tracking.passes import Passes
 from derender.tracking.run import inferrer
@@ -107,8 +109,9 @@ def follow(frames, camera, seed, moving_camera):
 
 
 def by_true_poses(truth):
-    """Return how many contact changes a film's true poses show: (said, true, of these found)."""
-    items, counts = truth["objects"], np.zeros(3, int)
+    """Return how many contact changes a film's true poses show, (said, true, of these found), and what topples in them:
+    [(frame, name)]."""
+    items, counts, toppled = truth["objects"], np.zeros(3, int), []
     poses = np.array([item["poses"] for item in items]).swapaxes(0, 1)
     frames, things = poses.shape[:2]
     sizes = np.tile([item["size"] for item in items], (frames, 1, 1))
@@ -118,14 +121,17 @@ def by_true_poses(truth):
         np.array(truth["views"]), ~np.concatenate([moved, moved[-1:]]),
     )  # fmt: skip
     words = [None, "floor", *(item["name"] for item in items)]
-    for best, item in zip(chances.argmax(axis=2).T, items, strict=True):
+    ups = np.array(truth["views"])[:, :3, 2]
+    for k, (best, item) in enumerate(zip(chances.argmax(axis=2).T, items, strict=True)):
         mine, true = changes([words[n] for n in best]), changes(item["parents"])
         counts += [len(mine), len(true), hits(mine, true)]
-    return counts
+        still, borne = np.arange(frames) == 0, np.array([parent is not None for parent in item["parents"]])
+        toppled += [(t, item["name"]) for t in topples(poses[:, k], ups, SOLIDS[item["type"]], still, borne)]
+    return counts, toppled
 
 
 def compare(track, truth):
-    """Return the figures of one film as a dict of counts and lists."""
+    """Return the figures of one film as a dict of counts and lists; `toppled` and `ideal`: (said, true, found)."""
     pairs, parents = matched(track, truth), track.parents()
     true_of = {track.names[k]: item["name"] for k, item in zip(pairs, truth["objects"], strict=True) if k is not None}
     true_of["floor"] = "floor"
@@ -155,6 +161,9 @@ def compare(track, truth):
             row["true"] + len(true),
             row["hits"] + hits(mine, true),
         )
+    row["ideal"], over = by_true_poses(truth)
+    told = [(e["frame"], true_of.get(e["object"])) for e in events_of(track) if e["event"] == "toppled"]
+    row["toppled"] = [len(told), len(over), hits(told, over)]
     return row
 
 
@@ -171,7 +180,7 @@ def evaluate_tracking(count, first, sensor, kinds, verbose, motion, size, fps):
             rng = np.random.default_rng([k, KINDS.index(kind)])
             frames, camera, truth = make_sequence(rng, kind, sensor, motion, size, fps)
             track, seconds, spent, full, moving = follow(frames, camera, k, motion > 0)
-            all_rows.append({**compare(track, truth), "ideal": by_true_poses(truth)})
+            all_rows.append(compare(track, truth))
             milliseconds += (1e3 * spent).tolist()
             one = moving == 1
             ratios += (seconds / spent).tolist()
@@ -184,8 +193,10 @@ def evaluate_tracking(count, first, sensor, kinds, verbose, motion, size, fps):
         rows[kind] = all_rows
         print_row(kind, all_rows, milliseconds)
     print_row("all", [row for some in rows.values() for row in some], [])
+    said, over, found = np.sum([row["toppled"] for some in rows.values() for row in some], axis=0)
+    print(f"\nof {over} things that topple {found} are said to, within {WITHIN} frames, and {said - found} others")
     if likelihoods:
-        print(f"\na frame where one thing moves costs {np.median(likelihoods):.1f} full likelihoods (goal: at most 10)")
+        print(f"a frame where one thing moves costs {np.median(likelihoods):.1f} full likelihoods (goal: at most 10)")
     print(f"infer of the first frame costs {np.median(ratios):.0f} times a frame (goal: at least 100), same run")
     print("goals: " + "; ".join(f"{name} {goal}" for name, goal in GOALS.items()))
 

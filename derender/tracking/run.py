@@ -15,6 +15,7 @@ from derender.camera.intrinsics import Camera
 from derender.detection.scattered import smaller_image_of
 from derender.errors import DerenderError
 from derender.structures.options import Options
+from derender.tracking.events import events_of
 from derender.tracking.film import (
     FPS,
     FPS_SPREAD,
@@ -33,7 +34,7 @@ from derender.tracking.film import (
 )  # fmt: skip
 from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
-from derender.tracking.result import events_of, report_page, write_track
+from derender.tracking.result import report_page, write_track
 from derender.tracking.thing import FOLLOWED, GONE, NOT_FOLLOWED, Start, start_from
 from derender.tracking.track import Recorder, Track
 

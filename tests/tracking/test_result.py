@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from browser import needed, violations
 
-from derender.tracking.result import FILES, events_of, report_page, track_json, with_materials, write_track
+from derender.tracking.events import events_of
+from derender.tracking.result import FILES, report_page, track_json, with_materials, write_track
 from derender.tracking.track import Recorder
 
 

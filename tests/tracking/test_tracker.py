@@ -12,9 +12,9 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, rotation_angle
 from derender.scene.solids import BOX, Solids
 from derender.tracking import fit
+from derender.tracking.events import events_of
 from derender.tracking.hidden import Hidden, blobs_of, carried
 from derender.tracking.passes import Passes
-from derender.tracking.result import events_of
 from derender.tracking.track import FREE_FORM, Recorder
 from derender.tracking.tracker import QUARTERS, Tracker
 
