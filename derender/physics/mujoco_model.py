@@ -42,19 +42,24 @@ MOVING = 0.98, 10.0
 # A contact of a light body that bears a heavy one would give way in proportion to what it bears over what it weighs:
 # beyond this ratio it enforces more, as far as MuJoCo goes.
 MOST_BORNE, LEAST_SOFTNESS = 10.0, 1e-4
+# What slides without bouncing is held by softer contacts (how much they enforce, and so many times more across, as of
+# MOVING; stiffness; damping ratio): hard ones let go of a box corner by corner, and friction then acts along how those
+# jump, not along the way. Boxes that slid at an angle to their faces were slowed by .86 to .99 of friction times
+# weight, and what was pushed by 2 % more than that went up to six times too far.
+SLIDING, SLIDING_ACROSS, SLIDING_STIFFNESS, SLIDING_DAMPING = 0.2, 100.0, 0.08, 2.0
 # The solver stops where a step gains less than this (MuJoCo's default) beside the mean of all inertias: among heavy
 # bodies a light one would be left with forces that throw it about, a box of .5 kg on one of 10 t off it.
 TOLERANCE = 1e-8
 # Contacts that are harder than this throw bodies about where they are ten times harder still across their normal.
 SOFT_ENOUGH = 0.005
-# Rate at which a contact stops sliding where friction could hold it, in units of sqrt(g / s). Greater rates lift a
-# sliding box (by friction times rate times speed over the stiffness: a 10 cm cube at 2 m/s by .5 mm at 20, .23 mm at
-# 15), smaller ones let it slip on before it stops (by .7 mm at 15, .9 mm at 12). Bodies that only settle stop at the
-# rate of their springs instead: at this one they would creep by .3 mm a second and never rest.
-GRIP = 15.0
+# Rate at which a contact stops sliding where friction could hold it, in units of sqrt(g / s). MuJoCo lifts what slides
+# (by friction times rate times speed over the stiffness), out of touch where speed times rate is much above friction
+# times gravity; below it friction gives less than it could. So the rate goes with the speed: it stops by GRIPPED times
+# friction times gravity, up to MOST_GRIP, renewed every REGRIP steps. Elastic contacts have one rate.
+GRIP, GRIPPED, MOST_GRIP, REGRIP = 15.0, 1.5, 100.0, 16
 # Contacts of the graph start engaged by this much (in units of s), about what the weight of two or three bodies presses
-# them in, so that they bear from the first step.
-ENGAGED = 2e-5
+# them in, so that they bear from the first step; softer ones by the second times how soft they are.
+ENGAGED, ENGAGED_SLIDING = 2e-5, 1e-4
 # What the graph does not join touches at the start where it is no further apart than this (in units of s).
 TOUCHING = 1e-5
 # Resistance to spinning in units of s; that to rolling is ROLLING: enough that a ball on a table stays.
@@ -105,6 +110,7 @@ class World:
     moving : whether contacts are those of bodies that slide and not those of bodies at rest; None: where a body moves
         at the start, is elastic or leans.
     units : of the engine; None: the scene's own.
+    gripping : whether what slides is held by softer contacts, whose grip goes with its speed from step to step.
 
     names : of the bodies, in the order of all arrays.
     moving : indices of those that can move.
@@ -120,6 +126,7 @@ class World:
         sleeping: bool = False,
         moving: bool | None = None,
         units: Units | None = None,
+        gripping: bool = False,
     ) -> None:
         self.matter = matter
         self.names = [body.name for body in matter.bodies]
@@ -135,10 +142,12 @@ class World:
         usual = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if matter.thrown else TIMESTEP
         self._step = (timestep or usual) * self._slow
         self._slides = moving if moving is not None else matter.thrown or bouncy or leans(matter)
+        self._soft = gripping and bool(moving or matter.thrown)
         self._hardness, self._across = MOVING if self._slides else RESTING
         self._rough = [body.friction for body in matter.bodies]
         self._bouncy = [body.elasticity for body in matter.bodies]
         self._bouncing = BOUNCING_STIFFNESS
+        self._gripping = 0  # steps until the grips are renewed
         self._geom_names: list[list[str]] = []  # of each body: of its convex pieces
         self.spec = self._spec(masses, sleeping)
         self.model = self.spec.compile()
@@ -148,6 +157,9 @@ class World:
         self._moving_ids = np.array([self._number_of(self.names[index]) for index in self.moving], dtype=int)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
+        self._pair_of = np.full((self.model.ngeom, self.model.ngeom), -1)  # numbers of pairs, by their geoms
+        self._pair_of[self.model.pair_geom1, self.model.pair_geom2] = np.arange(self.model.npair)
+        self._pair_of = np.maximum(self._pair_of, self._pair_of.T)
         self._set_materials()
         self._set_impedance()
         if keep_contacts:
@@ -176,7 +188,13 @@ class World:
 
     def step(self, count: int = 1) -> None:
         """Advance by `count` steps, and bring the poses up to date; Diverged where numbers become infinite."""
-        mujoco.mj_step(self.model, self.data, count)
+        while count > 0:
+            if self._yields.any() and self._gripping == 0:
+                self._regrip()
+                self._gripping = REGRIP
+            steps = min(count, self._gripping) if self._yields.any() else count
+            mujoco.mj_step(self.model, self.data, steps)
+            self._gripping, count = max(self._gripping - steps, 0), count - steps
         mujoco.mj_kinematics(self.model, self.data)
         if any(self.data.warning[kind].number for kind in BROKEN) or not np.isfinite(self.data.qpos).all():
             raise Diverged
@@ -270,9 +288,13 @@ class World:
 
     def _spring(self, elasticity: float) -> list[float]:
         """Return MuJoCo's direct contact parameters, minus stiffness and minus damping, for a restitution."""
-        share = self._bouncing if elasticity > 0 else STIFFNESS
-        frequency, step = share / self._step, self._step / self._slow
-        return [-(frequency**2), -2.0 * bounce_damping(elasticity, share / step, step) * frequency]
+        if self._soft and elasticity == 0:
+            frequency, damping = SLIDING_STIFFNESS / self._step, SLIDING_DAMPING
+        else:
+            share = self._bouncing if elasticity > 0 else STIFFNESS
+            frequency, step = share / self._step, self._step / self._slow
+            damping = bounce_damping(elasticity, share / step, step)
+        return [-(frequency**2), -2.0 * damping * frequency]
 
     def _rolls(self, body: Body) -> bool:
         return body.kind == "sphere" or (body.kind == "cylinder" and not self._stands(body))
@@ -314,6 +336,8 @@ class World:
         springs = {value: self._spring(value) for value in set(self._bouncy)}
         for k, (i, j) in enumerate(zip(first, second, strict=True)):
             self.model.pair_solref[k] = springs[max(self._bouncy[i], self._bouncy[j])]
+        bouncy = np.array(self._bouncy) > 0
+        self._yields = self._soft & ~bouncy[first] & ~bouncy[second]  # (pairs,) that slide and do not bounce
 
     def _set_impedance(self) -> None:
         """Make contacts of light bodies among heavy ones as much harder as they may have to bear."""
@@ -321,12 +345,40 @@ class World:
         mass = np.where(owner == 0, np.inf, self.model.body_mass[owner])
         lighter = np.minimum(mass[self.model.pair_geom1], mass[self.model.pair_geom2])
         heaviest = float(self.model.body_mass.max())
-        soft = 1 - self._hardness
+        soft = np.where(self._yields, 1 - SLIDING, 1 - self._hardness)
         softness = np.clip(soft * MOST_BORNE * lighter / heaviest, LEAST_SOFTNESS, soft)
-        self.model.opt.impratio = self._across if softness.min(initial=soft) > SOFT_ENOUGH else 1.0
+        across = SLIDING_ACROSS if self._yields.any() else self._across
+        self.model.opt.impratio = across if softness.min(initial=1.0) > SOFT_ENOUGH else 1.0
         self.model.pair_solimp[:] = [0.0, 0.0, self._long, 0.5, 2]
         self.model.pair_solimp[:, :2] = 1 - softness[:, None]
         self.model.opt.tolerance = TOLERANCE * float(mass.min(initial=heaviest)) / (heaviest or 1.0)
+
+    def _regrip(self) -> None:
+        """Set the rate at which each pair stops sliding by how fast it slides; see GRIP."""
+        model, data = self.model, self.data
+        centre, speed, spin = data.xpos, np.zeros((model.nbody, 3)), np.zeros((model.nbody, 3))
+        free = self._moving_ids
+        velocity = data.qvel.reshape(-1, 6)
+        speed[free] = velocity[:, :3]
+        spin[free] = np.einsum("nij,nj->ni", data.xmat[free].reshape(-1, 3, 3), velocity[:, 3:])
+        owner = model.geom_bodyid
+        first, second = owner[model.pair_geom1], owner[model.pair_geom2]
+        slip = np.linalg.norm(speed[second] - speed[first], axis=1)
+        count = data.ncon
+        if count:
+            geoms, place = data.contact.geom[:count], data.contact.pos[:count]
+            normal = data.contact.frame[:count, :3]
+            at = [speed[b] + np.cross(spin[b], place - centre[b]) for b in (owner[geoms[:, 0]], owner[geoms[:, 1]])]
+            along = at[1] - at[0]
+            along -= np.sum(along * normal, axis=1, keepdims=True) * normal
+            pair = self._pair_of[geoms[:, 0], geoms[:, 1]]
+            shown = pair >= 0
+            times = np.bincount(pair[shown], minlength=len(slip))
+            total = np.bincount(pair[shown], np.linalg.norm(along[shown], axis=1), minlength=len(slip))
+            slip = np.where(times > 0, total / np.maximum(times, 1), slip)
+        held = GRIPPED * model.pair_friction[:, 0] * np.linalg.norm(model.opt.gravity)
+        rate = np.minimum(held / np.maximum(slip, 1e-9), MOST_GRIP / self._slow)
+        model.pair_solreffriction[self._yields, 1] = -rate[self._yields]
 
     def _rest_as_they_are(self) -> None:
         """Let each pair that touches by the graph, or overlaps, rest at its present distance."""
@@ -343,10 +395,12 @@ class World:
             names = frozenset(self.names[self._index_of_geom[geom]] for geom in (a, b))
             gap = mujoco.mj_geomDistance(self.model, self.data, int(a), int(b), 2 * widest, None)
             if gap <= (widest if names in joined else TOUCHING * self._long):
-                self.model.pair_margin[k] = gap + ENGAGED * self._long
+                softness = self._yields[k] * (1 / float(self.model.pair_solimp[k, 0]) - 1)
+                self.model.pair_margin[k] = gap + max(ENGAGED_SLIDING * softness, ENGAGED) * self._long
 
     def _start(self) -> None:
         """Set the speeds at the start and compute forces."""
+        self._gripping = 0
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         for k, number in enumerate(self._moving_ids):

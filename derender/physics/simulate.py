@@ -56,7 +56,8 @@ def _run(
     timestep: float | None,
 ) -> Trajectory:
     done = disturbance or Intervention()
-    world = World(matter, timestep=timestep, sleeping=disturbance is None, moving=True if disturbance else None)
+    world = World(matter, timestep=timestep, sleeping=disturbance is None, moving=True if disturbance else None,
+                  gripping=True)  # fmt: skip
     shown = [i for i, body in enumerate(matter.bodies) if body.kind != "plane"]
     place = np.array([k for k, i in enumerate(shown) if matter.bodies[i].moves], dtype=int)
     sizes = np.array([matter.bodies[i].size for i in shown], float).reshape(-1, 3)
