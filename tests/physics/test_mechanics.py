@@ -21,6 +21,19 @@ def test_a_box_slides_as_far_as_its_friction_says_and_does_not_hop(speed, fricti
     assert np.abs(poses[:, 0, 2, 3] - 0.05).max() < 1e-4
 
 
+@pytest.mark.parametrize("masses", [(0.5, 0.5), (2.0, 0.1)])
+def test_what_is_thrown_with_what_bears_it_stays_on_it(masses):
+    """The upper box slid on by a fifth of the way, and three on each other fell off."""
+    boxes = [
+        Body(name, "box", np.array([0.1, 0.1, 0.04]), translation(0, 0, height), friction=0.3, mass=mass,
+             velocity=(0.75, 0.25, 0.0))
+        for name, height, mass in zip("ab", (0.02, 0.06), masses, strict=True)
+    ]  # fmt: skip
+    poses = simulate(matter(FLOOR, *boxes, supports=[("a", "floor"), ("b", "a")]), 1.0).poses
+    ways = np.linalg.norm(poses[-1, :, :2, 3], axis=1)
+    assert ways == pytest.approx(np.full(2, (0.75**2 + 0.25**2) / (2 * 0.3 * 9.81)), rel=0.02)
+
+
 @pytest.mark.parametrize("angle", [0, 20])
 @pytest.mark.parametrize("friction", [0.3, 0.8])
 def test_the_push_that_slides_a_box_is_its_weight_times_friction(friction, angle):
