@@ -28,7 +28,8 @@ from derender.results.fit import sensor_deviation
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 # Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent.
 ENOUGH, FEW = 2500, 500
-WIDEST, MOST = 160, 320  # columns of the image that is searched, and where few of its pixels show something
+# Pixels along the longer side of the image that is searched, and where few of its pixels show something.
+WIDEST, MOST = 160, 320
 # Nats by which a free-form thing must be better than solids that are not searched for to the end; where noise is
 # independent: of 60 made scenes of solids one was better, by 26; of ten of household things seven, by 80 and more.
 RELUCTANT, RELUCTANT_ALONE = 20.0, 60.0
@@ -201,8 +202,8 @@ def settings_for(settings: Settings, seen: Observation) -> Settings:
     """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
     settings = settings.for_correlation(seen.correlation)
     columns = settings.believed.loose.shared.columns
-    if seen.correlation > CORRELATED and seen.camera.width > columns:
-        settings = settings.for_pixels((seen.camera.width / columns) ** 2)
+    if seen.correlation > CORRELATED and (longer := max(seen.camera.shape)) > columns:
+        settings = settings.for_pixels((longer / columns) ** 2)
     return settings
 
 

@@ -322,12 +322,13 @@ def plane_at_origin(values, place, about, within, outside):
 
 
 def reduced_by(depth: np.ndarray, widest: int) -> int:
-    """Return the whole factor by which `reduce` makes an image (H, W) smaller."""
-    return max(1, int(round(depth.shape[1] / widest)))
+    """Return the whole factor by which `reduce` makes an image (H, W) smaller, the same however it is turned."""
+    return max(1, int(round(max(depth.shape) / widest)))
 
 
 def reduce(depth: np.ndarray, camera: Camera, widest: int) -> tuple[np.ndarray, Camera, int]:
-    """Return (depth, Camera, factor) of the image reduced by a whole factor to about `widest` pixels across.
+    """Return (depth, Camera, factor) of the image reduced by a whole factor to about `widest` pixels along its longer
+    side.
 
     depth : (H, W) float metres, NaN or 0 = no return; in the answer NaN = no return.
     """

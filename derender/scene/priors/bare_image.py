@@ -114,7 +114,8 @@ class Shared:
     Draws and weights are under the likelihood `correlated` there (data/sensors/any.yaml where no file says another).
 
     power : of (1 + r) / (1 - r), r being the correlation of neighbours' errors on the floor: so many pixels are one.
-    columns : of an image in which that holds; the pixels of one of more tell as much as those of one of so many.
+    columns : of an image (rows of a portrait) in which that holds; the pixels of one of more tell as much as those of
+        one of so many.
     """
 
     power: float = 1.5
