@@ -3,22 +3,21 @@
 A likelihood compares explanations with each other; this compares the best of them with the image itself. Each check
 returns doubts; `check_fit` asks them all. What kind of numbers the image holds, the largest plane tells: on a plane one
 function of them is affine in the pixel's place, of depth z along the axis 1 / z, of distance r along the rays |ray| / r
-with the ray's unit along the axis, of disparity the number itself. Whether the focal length is right, right angles
-tell, those between the faces of boxes and the floor: a plane whose inverse depth is a (column - cx) + b (row - cy) + c
-has its normal along (a f, b f, c), and seen with a wrong f they are not right.
+with the ray's unit along the axis, of disparity the number itself. Whether the camera is right see `focal_length`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from derender.camera.intrinsics import LEVEL, Camera
-from derender.camera.windows import greatest, labelled, least, of_five, opened
+from derender.camera.windows import greatest, labelled, least, opened
 from derender.render.likelihoods.pixelwise import noise_at
-from derender.results.fit import Fit, Noise, scatter, sensor_deviation
+from derender.results.fit import Fit, Noise, sensor_deviation
+from derender.results.focal_length import FLOOR, faces_of, wrong_camera
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
 from derender.scene.polygon import convex_outline, outline_planes
@@ -146,7 +145,7 @@ def check_fit(
         *not_level(graph, camera),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
-        *(wrong_focal_length(faces_of(graph, fit, camera, observed), camera, given) if floors else []),
+        *(wrong_camera(faces_of(graph, fit, camera, observed), camera, given) if floors else []),
         *unborne_solids(graph, fit, valid),
         *nothing_but_a_plane(graph, fit, camera, observed),
     ]
@@ -358,108 +357,3 @@ def nothing_but_a_plane(graph: SceneGraph, fit: Fit, camera: Camera, observed: n
 def percent(share: float) -> str:
     """Return a share in words: never 0 % of what there is."""
     return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
-
-
-FLOOR = 0  # the label of what shows a plane
-BOXES = ("box", "cube")
-LEAST_PIXELS = 30  # of a face away from its edges, that tell its normal
-MOST_PIXELS = 5_000  # and of how many it is told: more make it surer than SQUARE_WITHIN lets it count
-ROUNDS, NO_NOISE = 4, 3.0  # of leaving out what is off the plane by more than so many deviations
-SQUARE_WITHIN = np.radians(1.5)  # by which real faces, seen by a biased sensor, are off a right angle
-MOST_OF_ONE = 9.0  # squared deviations that one pair of faces may speak with: some solids are not what they seem
-SCALES = np.exp(np.linspace(-0.7, 0.7, 141))  # times the focal length that is given
-SURELY = 12.0  # squared deviations by which another focal length must explain the angles better
-# Times the focal length at which real boxes' angles are right ones. Sensors round edges, which turns faces to each
-# other: it was 1.00 to 1.13 of 45 answers to images of nine cameras, .85 to .91 and 1.19 to 1.38 with 20 % wrong ones.
-LEAST_FOCAL, MOST_FOCAL = 0.925, 1.2
-
-
-class Face(NamedTuple):
-    """A plane that the image shows: (a, b, c) as above in 1/m and pixels, and their covariance."""
-
-    plane: np.ndarray
-    covariance: np.ndarray
-
-
-def wrong_focal_length(faces: list[Face], camera: Camera, given: bool = False) -> list[Doubt]:
-    """Return a doubt where with another focal length far more of the angles between Faces are right ones; worth
-    knowing, of one that was given, where no box is seen that could tell."""
-    if len(faces) < 2:
-        words = "no box is seen that tells whether the camera's focal length is right, on which all lengths hang"
-        return [Doubt(words, False)] if given else []
-    focal = np.sqrt(camera.fx * camera.fy)
-    stretch = np.array([camera.fx / focal, camera.fy / focal, 1.0])  # of pixels that are not square
-    faces = [face._replace(plane=face.plane * stretch, covariance=face.covariance * np.outer(stretch, stretch))
-             for face in faces]  # fmt: skip
-    off = misfit(faces, focal * SCALES)
-    best = float(SCALES[np.argmin(off)])
-    if off[len(SCALES) // 2] - off.min() <= SURELY or LEAST_FOCAL < best < MOST_FOCAL:
-        return []
-    words = f"the boxes' angles are right ones if the focal length is {best:.2f} times that of the camera"
-    return [Doubt(f"{words}, {best * focal:.0f} pixels and not {focal:.0f}: check its intrinsics")]
-
-
-def faces_of(graph: SceneGraph, fit: Fit, camera: Camera, observed: np.ndarray) -> list[Face]:
-    """Return the Faces of floors and of boxes that the image (H, W) shows, told apart by the best scene."""
-    poses, points = graph.poses(), camera.points(fit.predicted)
-    planar = fit.explained & ~fit.background & (fit.label == FLOOR)
-    key = np.full(fit.label.shape, -1)
-    for place, vertex in enumerate(graph.vertices, start=1):
-        pose, size = poses[vertex.name], vertex.body.size()
-        if size is None:  # beyond its horizon a wall shows, at the side another floor
-            key[planar & (np.abs((points - pose[:3, 3]) @ pose[:3, 2]) < ROUNDING * fit.predicted)] = 6 * place
-        elif vertex.shape in BOXES:
-            mask = fit.label == place
-            local = (points[mask] - pose[:3, 3]) @ pose[:3, :3] / np.array(size)
-            axis = np.argmax(np.abs(local), axis=1)
-            key[mask] = 6 * place + 2 * axis + (np.take_along_axis(local, axis[:, None], axis=1)[:, 0] > 0.0)
-    alike = of_five(np.minimum, key) == of_five(np.maximum, key)
-    rows, columns = np.nonzero(alike & np.isfinite(observed) & (key >= 0))
-    numbers, found = key[rows, columns], []
-    for number in np.unique(numbers):
-        of_face = np.flatnonzero(numbers == number)
-        some = of_face[:: -(-len(of_face) // MOST_PIXELS)]
-        across, down = columns[some] - camera.cx, rows[some] - camera.cy
-        found.append(fitted(across, down, observed[rows[some], columns[some]]))
-    return [face for face in found if face is not None]
-
-
-def fitted(across: np.ndarray, down: np.ndarray, depth: np.ndarray) -> Face | None:
-    """Return the Face through the depths of most of the pixels (N,), so far from the centre; None: they are too few."""
-    design, inverse = np.array([across, down, np.ones(len(down))], float), 1.0 / depth
-    kept = np.ones(len(down), bool)
-    for _ in range(ROUNDS):
-        if kept.sum() < LEAST_PIXELS:
-            return None
-        some = design[:, kept]
-        spread = some @ some.T
-        if np.linalg.matrix_rank(spread) < 3:
-            return None
-        plane = np.linalg.solve(spread, some @ inverse[kept])
-        off = np.abs(inverse - plane @ design)
-        deviation = scatter(off[kept]) + np.finfo(float).eps
-        within = off < NO_NOISE * deviation
-        if (within == kept).all():
-            break
-        kept = within
-    return Face(plane, deviation**2 * np.linalg.inv(spread))
-
-
-def misfit(faces: list[Face], focal: np.ndarray) -> np.ndarray:
-    """Return (S,) the squared deviations by which pairs of faces are not at right angles; focal : (S,) pixels.
-
-    Seen with a wrong focal length one box is taken for several, so that all pairs tell which is right. Boxes that are
-    turned against each other are so with every one, and speak with no more than MOST_OF_ONE.
-    """
-    scale = np.column_stack([focal, focal, np.ones(len(focal))])[:, None]  # (S, 1, 3): below come faces, then axes
-    normal = np.array([face.plane for face in faces]) * scale
-    length = np.linalg.norm(normal, axis=2, keepdims=True)
-    normal /= length
-    across = np.eye(3) - normal[..., :, None] * normal[..., None, :]
-    covariance = np.array([face.covariance for face in faces]) * (scale[..., :, None] * scale[..., None, :])
-    variance = np.einsum("sfij,sfji->sf", covariance, across) / (2.0 * length[..., 0] ** 2)
-    one, other = np.tril_indices(len(faces), -1)
-    angle = np.arcsin(np.minimum(np.abs(np.sum(normal[:, one] * normal[:, other], axis=2)), 1.0))
-    off = np.minimum(angle, 0.5 * np.pi - angle)
-    square = off**2 / (variance[:, one] + variance[:, other] + 2.0 * SQUARE_WITHIN**2)
-    return np.minimum(square, MOST_OF_ONE).sum(axis=1)
