@@ -57,6 +57,9 @@ OVER, PARTED = 0.75, 0.1
 # Of a free-form thing's pixels, and of its own outline: what shows so little beside it and meets it along so much is an
 # arm or a foot of it. What stands before something so much larger and touches it all along is rare.
 LITTLE, ALONG = 0.1, 1.0 / 3.0
+# Upward part of a surface's normal: less is a side, more a top, and on what lies between nothing stays that hangs over
+# all else; share of where it is met that is such a slope, as of a body below its head.
+STEEP, LEVEL, MOSTLY = 0.26, 0.87, 0.4
 # Metres by which sides that lie in one plane are seen apart: real sensors' faces are off by some 3 mm.
 FLUSH = 0.004
 # Times as far apart a third one may be, which may be hidden; cosine between sides that are parallel.
@@ -146,7 +149,8 @@ def part_of_another(
     """Return what is a part of something else, and of what; None where nothing is.
 
     That hangs in the air and goes on without an edge, as a torso does into legs, or is a small free-form thing on a
-    larger one, as a head on its neck; or is little beside one along which it lies. Solids are told by their index,
+    larger one, as a head on its neck, or one on another's slope, where nothing stays; or is little beside one along
+    which it lies. Solids are told by their index,
     things by that of their masks after all solids.
     """
     _, label, misfit, _ = held_out(seen.image, state, -1)
@@ -158,7 +162,7 @@ def part_of_another(
         mask = piece == k
         if mask.sum() < FEWEST or k in state.parents:
             continue
-        touched, turned = meets(seen.surface, piece, k, count, normal)
+        touched, turned, sloping = meets(seen.surface, piece, k, count, normal)
         touched[[j for j in state.parents if j != FLOOR]] = 0.0
         outline = sum((mask & ~np.roll(mask, way, axis)).sum() for axis in (0, 1) for way in (1, -1))
         other = int(np.argmax(touched))
@@ -169,7 +173,9 @@ def part_of_another(
             continue
         much = other >= len(state) or mask.sum() >= PART * (piece == other).sum()
         small = mask.sum() < HANDLE * (piece == other).sum()
-        borne = k >= len(state) <= other and small  # a head, by its neck
+        low = np.quantile(seen.points[mask, 2], ENDS)
+        domed = sloping[other] > MOSTLY * touched[other] and low > np.median(seen.points[piece == other, 2])
+        borne = k >= len(state) <= other and (small or domed)  # a head, by its neck
         onward = much and touched[other] > JOINT * outline and (borne or turned[other] > -TURN * touched[other])
         told = small or sides_show(seen.points[mask] - seen.image.origin)
         if onward and told and hangs(seen, state.without(k) if k < len(state) else state, mask):
@@ -179,13 +185,13 @@ def part_of_another(
 
 def meets(
     surface: SeenSurface, piece: np.ndarray, k: int, count: int, normal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N,) how many pixels of a piece's outline have each other piece NEXT to them without a jump between, and
-    the sum of how the surface turns there: positive where convex, see TURN.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (N,) how many pixels of a piece's outline have each other piece NEXT to them without a jump between, the
+    sum of how the surface turns there, positive where convex, see TURN, and how many of those pixels show a slope.
 
     piece : (H, W) int, -1 for none. k : the piece's number; count : of all. The rest as of `goes_on`.
     """
-    touched, turned = np.zeros((2, count))
+    touched, turned, sloping = np.zeros((3, count))
     mask, points = piece == k, surface.points
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
         apart = np.roll(points, NEXT * way, axis) - points
@@ -195,7 +201,9 @@ def meets(
         turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)[at] / distance[at]
         touched += np.bincount(other[at], minlength=count)
         turned += np.bincount(other[at], turn, count)
-    return touched, turned
+        rises = np.roll(normal, NEXT * way, axis)[at][:, 2]
+        sloping += np.bincount(other[at], (rises > STEEP) & (rises < LEVEL), count)
+    return touched, turned, sloping
 
 
 def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None = None) -> Any:

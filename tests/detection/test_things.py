@@ -278,13 +278,39 @@ def test_a_small_piece_in_the_air_is_part_of_the_free_form_thing_that_bears_it()
     assert part_of_another(seen, State(), masks, normal) == (0, 1)
 
 
+@pytest.mark.parametrize(
+    "body, place, expected",
+    [("ball", (0.02, 0.0, 0.1), (0, 1)), ("ball", (0.11, 0.0, -0.01), None), ("block", (0.0, 0.0, 0.11), None)],
+)
+def test_a_large_piece_on_a_dome_is_part_of_it_and_one_beside_it_or_on_a_flat_top_is_not(body, place, expected):
+    """A duck was two things, surely: its head is as large as what is seen of its body."""
+    if body == "ball":
+        below = trimesh.creation.icosphere(radius=0.06)
+        below.apply_scale([1.2, 1.0, 1.0])
+    else:
+        below = trimesh.creation.box([0.14, 0.14, 0.12])
+    head = trimesh.creation.icosphere(radius=0.05)
+    head.apply_translation(place)
+    whole = trimesh.util.concatenate([below, head])
+    middle = whole.bounds.mean(axis=0)
+    whole.apply_translation(-middle)
+    mesh = whole.vertices, np.ascontiguousarray(whole.faces, np.int32)
+    seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, tuple(whole.extents), mesh)]), CAMERA)
+    lies = (np.linalg.inv(TABLE) @ seen.floor.pose)[:3]
+    points = seen.points @ lies[:, :3].T + lies[:, 3] - [0.0, 0.0, 0.5 * whole.extents[2]] + middle
+    over = seen.mask & (np.linalg.norm(points - place, axis=2) < 0.055)
+    masks = [over, seen.mask & ~over]
+    assert min(mask.sum() for mask in masks) > 50
+    assert part_of_another(seen, State(), masks, seen.surface.normals(seen.surface.good)) == expected
+
+
 @pytest.mark.parametrize("behind, touches", [(0.005, True), (0.02, False)])
 def test_what_lies_well_behind_something_does_not_touch_it(behind, touches):
     """A cube was taken for a part of a tool that hung behind it."""
     y, x = np.indices((12, 12)) * 0.002
     piece = np.repeat([[0] * 6 + [1] * 6], 12, axis=0)
     points = np.stack([x, y, 1.0 + behind * piece], axis=-1)
-    touched, _ = meets(surface_through(points), piece, 0, 2, np.zeros_like(points))
+    touched, *_ = meets(surface_through(points), piece, 0, 2, np.zeros_like(points))
     assert (touched[1] > 0) == touches
 
 
