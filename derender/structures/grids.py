@@ -23,7 +23,7 @@ from derender.camera.intrinsics import Camera
 from derender.camera.windows import shrunk
 from derender.detection.pyramid import spread_of
 from derender.detection.solids.beliefs import Beliefs, box_log_density
-from derender.detection.solids.graph import FLOOR_NAME, TILTS, without
+from derender.detection.solids.graph import TILTS, without
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
 from derender.scene.contacts.kinds import ON_A_FACE
@@ -149,7 +149,7 @@ class Grid(NamedTuple):
 
 def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Beliefs) -> list[StructurePosterior]:
     """Return the structures and those in which some of their boxes are grids, weights still summing to what they did.
-    Asked are upright boxes on a floor with nothing on them, those side by side that are flush as one."""
+    Asked are upright boxes with nothing on them, those side by side on one floor or box that are flush as one."""
     found = []
     for part in parts:
         graph, _ = part.best()
@@ -162,6 +162,8 @@ def bodies_of(graph: SceneGraph, groups: list[tuple[str, ...]], gap: float, flus
     """Return groups of names of boxes, joined where one beside another fills one box but for gaps.
     gap, flush : metres between neighbours and by which their faces may be off, at most."""
     for one, other in permutations(groups, 2):
+        if graph.vertex(one[0]).parent != graph.vertex(other[0]).parent:
+            continue
         (_, first), (_, second), (_, both) = (hull_of(graph, each) for each in (one, other, one + other))
         beyond = both - first  # the other's own extent along one level axis, and nothing along the two others
         axis = int(np.argmax(beyond))
@@ -192,8 +194,9 @@ def blocks_of(graph: SceneGraph) -> list[tuple[str, ...]]:
     """Return the name of each box that may be a grid, alone."""
     return [
         (vertex.name,) for vertex in graph.vertices
-        if vertex.shape == "box" and vertex.parent == FLOOR_NAME and not graph.children(vertex.name)
+        if vertex.shape == "box" and vertex.parent in graph.names and not graph.children(vertex.name)
         and vertex.contact.type == ON_A_FACE[0] and vertex.contact.child_face == "-z"
+        and vertex.contact.parent_face == "+z" and not vertex.supports
         and not any(vertex.name in other.supports for other in graph.vertices)
     ]  # fmt: skip
 
@@ -352,12 +355,12 @@ def with_cartons(graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], gri
     """Return a graph with a grid of cartons, lower layers first, in place of boxes whose hull in a scene it fills."""
     (pose, extents), count = hull_of(scene, boxes), np.array(grid.parts)
     size = (extents - (count - 1) * grid.gap) / count
-    first = boxes[0]
+    first, beneath = boxes[0], graph.vertex(boxes[0]).parent
     names = {place: f"{first}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
-    poses, bodies = {FLOOR_NAME: scene.poses()[FLOOR_NAME]}, {FLOOR_NAME: graph.body(FLOOR_NAME)}
+    poses, bodies = {beneath: scene.poses()[beneath]}, {beneath: scene.body(beneath)}
     cartons = []
     for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
-        parent = FLOOR_NAME if k == 0 else names[i, j, k - 1]
+        parent = beneath if k == 0 else names[i, j, k - 1]
         made = replace(vertex_of(own, "box", size, Contact(ON_A_FACE[0])), parent=parent)
         poses[own] = pose @ translation(*((np.array([i, j, k]) - 0.5 * (count - 1)) * (size + grid.gap)))
         bodies[own] = made.body

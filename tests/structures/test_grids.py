@@ -36,8 +36,9 @@ CAMERA = Camera(fx=290.0, fy=290.0, cx=159.5, cy=119.5, width=320, height=240)
 SIZE, SIGMA, GAP = np.array([0.36, 0.25, 0.22]), 0.004, 0.004
 
 
-def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05, slabs=1):
-    """Return (part with one box, or so many slabs, Image) of cartons that stand so close on a floor."""
+def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05, slabs=1, board=0.0):
+    """Return (part with one box, or so many slabs, Image) of cartons that stand so close on a floor, or a board so many
+    metres high."""
     floor = rotation_x(np.pi / 2 + np.radians(40))
     floor[:3, 3] = [0.0, 0.1, 2.2]
     counts = np.array(counts)
@@ -46,16 +47,25 @@ def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05, slabs=1):
     poses = []
     for cell in cells:
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = way, way @ cell + [0.0, 0.0, 0.5 * whole[2]]
+        pose[:3, :3], pose[:3, 3] = way, way @ cell + [0.0, 0.0, board + 0.5 * whole[2]]
         poses.append(floor @ pose)
     camera = Camera(290.0, 290.0, 159.5, 119.5, 320, 240)
-    depth, _ = render_floor_scene(["box"] * len(cells), np.array(poses), [SIZE] * len(cells), floor, camera)
+    sizes, below = [SIZE] * len(cells), [*(whole[:2] + 0.1), board]
+    if board:
+        pose = np.eye(4)
+        pose[:3, :3], pose[2, 3] = way, 0.5 * board
+        poses, sizes = [*poses, floor @ pose], [*sizes, np.array(below)]
+    depth, _ = render_floor_scene(["box"] * len(sizes), np.array(poses), sizes, floor, camera)
     depth = depth + SIGMA * np.random.default_rng(1).standard_normal(depth.shape)
-    block = make_row(BOX, way, [0.0, 0.0, 0.5 * whole[2]], whole)
+    block = make_row(BOX, way, [0.0, 0.0, board + 0.5 * whole[2]], whole)
     slab = (whole - [(slabs - 1) * gap, 0.0, 0.0]) / [slabs, 1.0, 1.0]
-    middles = [way @ [(k - 0.5 * (slabs - 1)) * (slab[0] + gap), 0.0, 0.5 * whole[2]] for k in range(slabs)]
+    middles = [way @ [(k - 0.5 * (slabs - 1)) * (slab[0] + gap), 0.0, board + 0.5 * whole[2]] for k in range(slabs)]
     rows = np.array([make_row(BOX, way, middle, slab) for middle in middles])
-    graph = scene_graph(State(rows, [UPRIGHT] * slabs, [False] * slabs, [FLOOR] * slabs, [0.0] * slabs), floor)
+    parents, bottoms = [FLOOR] * slabs, [board] * slabs
+    if board:
+        rows = np.array([*rows, make_row(BOX, way, [0.0, 0.0, 0.5 * board], below)])
+        parents, bottoms = [slabs] * slabs + [FLOOR], [*bottoms, 0.0]
+    graph = scene_graph(State(rows, [UPRIGHT] * len(rows), [False] * len(rows), parents, bottoms), floor)
     addresses = ("box_1.length", "box_1.contact.x")
     start = [graph.numbers()[address] for address in addresses]
     values = np.array(start) + 1e-4 * np.random.default_rng(2).standard_normal((2, 30, 2))
@@ -93,6 +103,18 @@ def test_seams_that_show_tell_the_grid_and_layers_that_do_not_stay_open():
     for each in found:
         assert each.values.shape[2] == len(each.addresses) == len(each.periods)
         assert each.graph_at(0, 0).names == each.graph.names
+
+
+def test_what_stands_on_a_pallet_may_be_a_grid_as_what_stands_on_the_floor():
+    """Eleven cartons on a pallet were three boxes at P .95, and trusted."""
+    part, image, block, _ = pallet(board=0.14)
+    found = with_grids([part], image, bare_image())
+    right = [each for each in found if each.graph.children("box_1") and len(each.graph.children("box_1")) == 6]
+    assert right and max(each.weight for each in found) < 0.95
+    graph, _ = right[0].best()
+    low = [graph.poses()[name] for name in graph.children("box_1")]
+    middles = [(np.linalg.inv(graph.root_pose @ block) @ pose)[2, 3] for pose in low]
+    assert middles == pytest.approx([-0.5 * SIZE[2]] * 6, abs=1e-3)  # the lower of two layers about the block's middle
 
 
 def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_number_alone():
