@@ -333,10 +333,16 @@ def _constants(parameters):
 def _mixture(told, model, constants):
     """Return what pixels hold, and the densities of their surface and of outliers: the twin of `mixture`."""
     _, _, _, near, far, floor, nothing, zero, _ = constants
-    value = absolute(told)
-    model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
+    value, model = _shown(told, model, zero)
     surface = _on_surface(value, model, constants)
     return value, surface, where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
+
+
+@njit(inline="always", borrows=True)
+def _shown(told, model, zero):
+    """Return what pixels hold and what they are to show: what is below zero shows what may be hidden, or nearer."""
+    value = absolute(told)
+    return value, where_at_least(told, zero, model, minimum(model, value))
 
 
 @njit(inline="always", borrows=True)
@@ -429,9 +435,7 @@ def _score_even(parameters, images, half, left, right, top, bottom):
     zero, half_less = splat(np.float32(0)), splat(np.float32(-0.5))
     for row in range(top, bottom):
         for column in range(left, right, LANES):
-            told, model = load(observed, row, column), load(score, row, column)
-            value = absolute(told)
-            model = where_at_least(told, zero, model, minimum(model, value))  # as in `_mixture`
+            value, model = _shown(load(observed, row, column), load(score, row, column), zero)
             z = multiply(subtract(value, model), scale)
             outliers = where_at_least(value, nearest, where_at_least(farthest, value, floor, nothing), nothing)
             result = log_of_sum(multiply_add(multiply(z, z), half_less, peak), outliers)
@@ -443,24 +447,27 @@ def _score_even(parameters, images, half, left, right, top, bottom):
     return sum_lanes(new), sum_lanes(old)
 
 
+@njit(inline="always", borrows=True)
+def _apart(there, model, inverse, one):
+    """Return 1 + (d / j)^4 of a neighbour's depth, see `Correlated`; inverse : 1 / j."""
+    off = multiply(subtract(absolute(there), model), inverse)
+    return multiply_add(multiply(off, off), multiply(off, off), one)
+
+
 # entries of `parameters`, as `Correlated.row` lays them out
 SHARED, CLUMP = range(LIKELIHOOD_PARAMETERS + 4, LIKELIHOOD_PARAMETERS + 6)  # of one that neighbours share, after FAR
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def score_correlated(parameters, images, half, left, right, top, bottom, height):
-    """Turn the blurred depth in images[SCORE + half] into log densities given earlier pixels.
-
-    Returns their sum and that of the current half's scores in the region.
-    """
+    """Turn the blurred depth in images[SCORE + half] into log densities given earlier pixels; returns sums as above."""
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     going_on, shows = images[len(images) - GOING_ON], images[len(images) - SHOWS + half]
     densities = images[len(images) - ANEW]
     constants = _constants(parameters)
     sigma, growth = constants[0], constants[1]
-    clump = splat(np.float32(parameters[CLUMP]))
-    more = splat(np.float32(parameters[SHARED] - parameters[CLUMP]))
+    clump, more = splat(np.float32(parameters[CLUMP])), splat(np.float32(parameters[SHARED] - parameters[CLUMP]))
     zero, one, nothing, none = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(1e-30)), splat(NO_RETURN)
     jump, beyond = splat(np.float32(JUMP)), splat(np.float32(BEYOND))
     for row in range(top, bottom):
@@ -474,17 +481,15 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
         for column in range(left, right, LANES):
             west, north = load(shows, row, column - 1), load(shows, above, column)
             by_west, by_north = where_at_least(west, zero, one, zero), where_at_least(north, first, one, zero)
-            told, model = load(observed, row, column), load(score, row, column)
-            value = absolute(told)
-            model = where_at_least(told, zero, model, minimum(model, value))  # as in `_mixture`
-            most = multiply_add(beyond, multiply_add(growth, multiply(model, model), sigma), multiply(jump, model))
-            off_west = divide(subtract(absolute(load(observed, row, column - 1)), model), most)
-            off_north = divide(subtract(absolute(load(observed, above, column)), model), most)
-            off_west, off_north = multiply(off_west, off_west), multiply(off_north, off_north)
-            west = where_at_least(west, zero, divide(west, multiply_add(off_west, off_west, one)), zero)
-            north = where_at_least(north, first, divide(north, multiply_add(off_north, off_north, one)), zero)
+            value, model = _shown(load(observed, row, column), load(score, row, column), zero)
+            off = multiply_add(beyond, multiply_add(growth, multiply(model, model), sigma), multiply(jump, model))
+            inverse = reciprocal(off)
+            by = where_at_least(west, zero, _apart(load(observed, row, column - 1), model, inverse, one), one)
+            over = where_at_least(north, first, _apart(load(observed, above, column), model, inverse, one), one)
+            # west / by + north / over in one division
+            shown = multiply_add(multiply(by_west, west), over, multiply(multiply(by_north, north), by))
             count = add(by_west, by_north)
-            goes_on = multiply_add(more, divide(add(west, north), maximum(count, one)), clump)
+            goes_on = multiply_add(more, divide(shown, multiply(multiply(by, over), maximum(count, one))), clump)
             beside = load(going_on, row, column)  # 0 where none of the nearest returned
             goes_on = where_at_least(add(count, beside), nothing, goes_on, zero)
             density = multiply_add(goes_on, beside, multiply(subtract(one, goes_on), load(densities, row, column)))
