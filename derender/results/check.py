@@ -16,7 +16,7 @@ import numpy as np
 from derender.camera.intrinsics import LEVEL, Camera
 from derender.camera.windows import greatest, labelled, least, opened
 from derender.render.likelihoods.pixelwise import noise_at
-from derender.results.fit import Fit, Noise, sensor_deviation
+from derender.results.fit import Fit, Noise, on_best_plane, sensor_deviation
 from derender.results.focal_length import FLOOR, faces_of, wrong_camera
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
@@ -68,13 +68,10 @@ def plane_shares(observed: np.ndarray, camera: Camera, noise: Noise) -> dict[str
 
 def _largest(design: np.ndarray, numbers: np.ndarray, limit: np.ndarray, triples: np.ndarray) -> float:
     """Return the share of pixels within the limit, relative to the number, of the best affine function tried."""
-    matrices, allowed = design[triples], limit * np.abs(numbers)
-    usable = np.abs(np.linalg.det(matrices)) > 1e-4
-    if not usable.any():
+    allowed = limit * np.abs(numbers)
+    best = on_best_plane(design, numbers, allowed, triples, 1e-4)
+    if best is None:
         return 0.0
-    planes = np.linalg.solve(matrices[usable], numbers[triples[usable]][..., None])[..., 0]
-    near = np.abs(planes @ design.T - numbers) <= allowed
-    best = near[np.argmax(near.sum(axis=1))]
     plane = np.linalg.lstsq(design[best], numbers[best])[0]  # through all of them it fits more
     return float(max(best.mean(), (np.abs(design @ plane - numbers) <= allowed).mean()))
 

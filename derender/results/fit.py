@@ -144,6 +144,22 @@ def sensor_deviation(depth: float | np.ndarray) -> float | np.ndarray:
     return (SENSOR_PER_DEPTH * depth + SENSOR_PER_SQUARE * depth**2) / 3.0
 
 
+def on_best_plane(
+    design: np.ndarray, numbers: np.ndarray, allowed: np.ndarray, triples: np.ndarray, least: float
+) -> np.ndarray | None:
+    """Return (N,) bool, which numbers (N,) are on the affine function through three of them that most are on.
+
+    design : (N, 3) what they are affine in, and ones. allowed : (N,) by which they may be off. triples : (T, 3) those
+        that are tried. least : determinant of a triple's design that tells a function. None: none does.
+    """
+    usable = triples[np.abs(np.linalg.det(design[triples])) > least]
+    if not len(usable):
+        return None
+    planes = np.linalg.solve(design[usable], numbers[usable][..., None])[..., 0]
+    near = np.abs(planes @ design.T - numbers) <= allowed
+    return near[np.argmax(near.sum(axis=1))]
+
+
 def scatter(residual: np.ndarray) -> float:
     """Return the standard deviation of residuals about zero, from the median of their sizes."""
     return TO_SIGMA * float(np.median(np.abs(residual)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.camera.windows import of_five
-from derender.results.fit import Fit, scatter
+from derender.results.fit import Fit, on_best_plane, scatter
 from derender.results.trust import Doubt
 from derender.scene.graph import SceneGraph
 
@@ -119,14 +119,9 @@ def faces_in(across: np.ndarray, down: np.ndarray, depth: np.ndarray, fit: Fit) 
     least = max(LEAST_PIXELS, OF_ONE * len(left))
     rest = OF_ALL * len(left)
     while len(left) >= least and len(found) < MOST_FACES:
-        triples = left[rng.integers(0, len(left), (TRIES, 3))]
-        usable = np.abs(np.linalg.det(design[triples])) > 1.0  # square pixels, twice
-        if not usable.any():
-            break
-        planes = np.linalg.solve(design[triples[usable]], inverse[triples[usable]][..., None])[..., 0]
-        near = np.abs(planes @ design[left].T - inverse[left]) <= allowed[left]
-        best = near[np.argmax(near.sum(axis=1))]
-        if best.sum() < least:
+        triples = rng.integers(0, len(left), (TRIES, 3))
+        best = on_best_plane(design[left], inverse[left], allowed[left], triples, 1.0)  # square pixels, twice
+        if best is None or best.sum() < least:
             break
         own, left = left[best], left[~best]
         rest -= len(own)
