@@ -133,8 +133,9 @@ def test_roughness_is_that_of_the_noise_whatever_stands_there():
     assert local_noise(image, CAMERA) == pytest.approx(SIGMA, rel=0.3)
 
 
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [0, 1, 17104])
 def test_a_carton_whose_top_shows_stands_there_though_the_border_cuts_it_and_a_wall_does_not(number):
+    """In the last one it shows in a tenth of the carton's pixels, at a grazing angle: it was "nothing", trusted."""
     scene = make(np.random.default_rng([number, list(KINDS).index("fills")]), "fills")
     seen = observe(scene.depth, scene.camera)
     carton = scene.label[::2, ::2] == 0

@@ -99,9 +99,10 @@ def test_what_the_likeliest_structure_leaves_out_is_expected_nevertheless():
 def test_what_was_rather_missed_than_found_is_not_trusted():
     """Of cartons from which few pixels returned "nothing" was told at .07, and trusted."""
     posterior = seen_by_a_sensor(0.0)
-    posterior.meta["missed"] = 0.93
-    (doubt,) = chain_doubts(posterior, [])
-    assert doubt.serious and "missed with a probability of 0.93" in doubt.words
+    for missed in (0.93, 0.5):  # with .50 "nothing" was told at .50 of a box that filled the view
+        posterior.meta["missed"] = missed
+        (doubt,) = chain_doubts(posterior, [])
+        assert doubt.serious and f"missed with a probability of {missed:.2f}" in doubt.words
     posterior.meta["missed"] = 0.4
     assert not chain_doubts(posterior, [])
 
