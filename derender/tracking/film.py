@@ -2,7 +2,8 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from glob import glob
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -197,14 +198,12 @@ def _each_of(files: list[Path], camera: Any, depth_scale: float | None) -> tuple
     """
     seen, faults = list[DepthImage](), dict[str, DerenderError]()
     for path in files:
-        try:
-            found = read_depth(path, camera, depth_scale, may_be_empty=True)
-            check_size(found.depth, (seen or [found])[0].depth, path)
-        except DerenderError as error:
-            if not seen:
-                raise
-            faults[path.name], found = error, without_returns(seen[0])
+        found, fault = read_frame(
+            path, partial(read_depth, path, camera, depth_scale, may_be_empty=True), seen[0] if seen else None
+        )
         seen.append(found)
+        if fault is not None:
+            faults[path.name] = fault
     if not faults:
         return seen, []
     first = next(iter(faults.values()))
@@ -214,9 +213,22 @@ def _each_of(files: list[Path], camera: Any, depth_scale: float | None) -> tuple
     return seen, [unreadable(_named(list(faults), range(len(faults))), first)]
 
 
-def without_returns(seen: DepthImage) -> DepthImage:
-    """Return a frame in which nothing returned, in place of one that cannot be read."""
-    return seen._replace(depth=np.full_like(seen.depth, np.nan))
+def read_frame(
+    path: Path, read: Callable[[], DepthImage], first: DepthImage | None
+) -> tuple[DepthImage, DerenderError | None]:
+    """Return a frame of the size of a film's first; where it cannot be read one in which nothing returned, and why.
+
+    Raises DerenderError : there is no first.
+    """
+    try:
+        found = read()
+        if first is not None:
+            check_size(found.depth, first.depth, path)
+        return found, None
+    except DerenderError as fault:
+        if first is None:
+            raise
+        return first._replace(depth=np.full_like(first.depth, np.nan)), fault
 
 
 def unreadable(names: str, fault: DerenderError) -> str:

@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,16 +22,15 @@ from derender.tracking.film import (
     FPS_SPREAD,
     Film,
     camera_of,
-    check_size,
     checked_fps,
     dark_start,
     frame_files,
     level_spread,
     read_film,
+    read_frame,
     read_timing,
     shows,
     unreadable,
-    without_returns,
 )  # fmt: skip
 from derender.tracking.gaps import MISSING, counted, lacking
 from derender.tracking.passes import Passes
@@ -241,16 +241,10 @@ def watched(sources: Any, camera: Any, depth_scale: Any, warn: Any) -> Iterator[
     while time.monotonic() - last < PATIENCE:
         fresh = [path for path in frame_files(sources) if path not in taken]
         for path in fresh:
-            try:
-                found = patiently(path, camera_of(sources, camera), depth_scale)
-                check_size(found.depth, (seen or found).depth, path)
-            except DerenderError as error:
-                if seen is None:
-                    raise
-                warn(unreadable(path.name, error))
-                found = without_returns(seen)
-            seen = found
-            yield path, found
+            seen, fault = read_frame(path, partial(patiently, path, camera_of(sources, camera), depth_scale), seen)
+            if fault is not None:
+                warn(unreadable(path.name, fault))
+            yield path, seen
             taken.add(path)
             last = time.monotonic()
         if not fresh:
