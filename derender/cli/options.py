@@ -139,19 +139,12 @@ def tells_idle(*rules: Idle) -> Callable[..., Any]:
 
 
 class Seed(click.IntRange):
-    """A whole number from 0 up that 63 bits can hold: so many that the help need not say how many."""
+    """A whole number from 0 up that 63 bits can hold."""
 
     name = "whole number"
 
     def _describe_range(self) -> str:
-        return "x>=0"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        """Return the number."""
-        found = click.INT.convert(value, param, ctx)
-        if found > (self.max or 0):
-            self.fail(f"{value} is more than a seed can be, {self.max}", param, ctx)
-        return super().convert(value, param, ctx)
+        return "0<=x<2^63"
 
 
 class Finite(click.FloatRange):

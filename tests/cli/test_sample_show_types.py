@@ -56,7 +56,7 @@ def test_the_noise_is_that_of_the_likelihood(folder):
 
 def test_a_seed_of_more_than_63_bits_is_told_the_most(folder, capfd):
     """It was "not in the range x>=0", in which it is."""
-    assert run("sample", "--seed", 10**20) == 2 and f"more than a seed can be, {2**63 - 1}" in capfd.readouterr().err
+    assert run("sample", "--seed", 10**20) == 2 and "is not in the range 0<=x<2^63" in capfd.readouterr().err
 
 
 def test_a_seed_gives_the_same_bytes_and_draws_do_not_depend_on_their_number(folder):
