@@ -115,7 +115,7 @@ def command(
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
     P(stable) and each object's P(falls), with their Monte Carlo errors; of what the search may have missed no draw
     tells, so that half of that probability counts as stable, and is said. What is said of a folder stands on its page
-    too, with an animation that lies in it (`derender view`). Several scenes make a table; so do those that -n draws
+    too, with its animation, if in the folder (`derender view`). Several scenes make a table; so do those that -n draws
     from a prior, which are those of `derender sample PRIOR -n N` with the same seed.
 
     Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, whatever their shape, unless the scene file
@@ -247,7 +247,9 @@ def _table(
             except DerenderError as error:
                 talk.warn(f"{name}: {error}")
                 rows.append(row_of(name, {"fault": str(error)}))
-    except KeyboardInterrupt as interrupt:  # the rows so far are kept
+    except KeyboardInterrupt as interrupt:
+        if not rows:  # a table that is there may tell more
+            raise
         stopped = interrupt
     if output is not None:
         write_text(output, as_csv(rows, COLUMNS) if output.lower().endswith(".csv") else as_lines(rows))
