@@ -100,11 +100,12 @@ def topples(poses: np.ndarray, ups: np.ndarray, kind: int, still: np.ndarray, bo
             continue
         if still[t] or rested is None:
             rested, leant, told = up, t, False
-        turn = np.arccos(np.clip(inside[t:] @ rested, -1.0, 1.0))
-        if turn[0] < LEANING:
+        now = np.arccos(np.clip(up @ rested, -1.0, 1.0))
+        if now < LEANING:
             leant = t + 1
-        if told or not turn[0] > TOPPLED or not borne[max(leant - 1, 0) : leant + 1].any():
+        if told or not now > TOPPLED or not borne[max(leant - 1, 0) : leant + 1].any():
             continue
+        turn = np.arccos(np.clip(inside[t:] @ rested, -1.0, 1.0))
         over = np.flatnonzero(~(turn > TOPPLED) | np.append(False, still[t + 1 :]))
         if len(over) == 0 or turn[over[0]] > TOPPLED or turn[: over[0]].max() > FAR_OVER:
             found.append(t)
