@@ -9,9 +9,8 @@
 Of an object-frame, the thing is lost where track.json has no pose or one off by more than LOST. A contact change is a
 frame in which the parent differs from that of the frame before; it is found where the same thing changes to the same
 parent within three frames; beside it stands what the same rule finds in the true poses. Things that topple are those
-of the true poses too. An identity is switched where a
-thing's name is nearest to another true object in a later frame than at first, by more than both are wide. A full
-likelihood draws all solids anew, blurs and compares all pixels.
+of the true poses too. An identity is switched where a thing's name is nearest to another true object in a later frame
+than at first, by more than both are wide. A full likelihood draws all solids anew, blurs and compares all pixels.
 """
 
 import time

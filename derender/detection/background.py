@@ -184,8 +184,7 @@ def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     normal : (K, 3) of the surface at each point.
     """
     top = np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SHARE) - TOP
-    share = np.mean((points[:, 2] > top) & (normal[:, 2] > FLAT))
-    if share > TOP_SHARE:
+    if np.mean((points[:, 2] > top) & (normal[:, 2] > FLAT)) > TOP_SHARE:
         return True
     level = points[(points[:, 2] > np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SEEN) - TOP) & (normal[:, 2] > FLAT)]
     return len(level) > TOP_SEEN * len(points) and extents(level).min() > THICK

@@ -150,8 +150,7 @@ def part_of_another(
 
     That hangs in the air and goes on without an edge, as a torso does into legs, or is a small free-form thing on a
     larger one, as a head on its neck, or one on another's slope, where nothing stays; or is little beside one along
-    which it lies. Solids are told by their index,
-    things by that of their masks after all solids.
+    which it lies. Solids are told by their index, things by that of their masks after all solids.
     """
     _, label, misfit, _ = held_out(seen.image, state, -1)
     piece = np.where((seen.image.weight > 0) & (misfit < LIMIT), label, -1)

@@ -134,7 +134,7 @@ def on_one_floor(
     in_vain = False
     try:
         first, alone = State(), seen.correlation <= CORRELATED
-        if settings.free_forms and not (alone and settings.tries == 1):  # after a single search they are looked for
+        if settings.free_forms and not (alone and settings.tries == 1):  # a single search has them looked for after it
             own = deepcopy(rng) if alone else rng  # where it finds no thing the search goes on as if it had not been
             first = first_search(own, seen.image, hypotheses, settings)
             first, masks = take_things(seen, first, settings, RELUCTANT_ALONE if alone else RELUCTANT)

@@ -323,8 +323,8 @@ def unborne_solids(graph: SceneGraph, fit: Fit, valid: np.ndarray) -> list[Doubt
         elif fitting < LEAST_FITTING:
             words = f"{name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
             told.append((words, True))
-        elif other := [each for each in coherent(mask & valid & ~fit.explained, mask) if each.share > MOST_OPEN]:
-            words = f"{percent(other[0].share)} of what is seen where {name} should be is something else"
+        elif openings := [each for each in coherent(mask & valid & ~fit.explained, mask) if each.share > MOST_OPEN]:
+            words = f"{percent(openings[0].share)} of what is seen where {name} should be is something else"
             told.append((f"{words}, {region.where}", True))
         if filled > FILLING:
             told.append((f"{name} fills {percent(filled)} of the image, so that little shows what it stands on", True))

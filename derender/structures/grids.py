@@ -194,7 +194,7 @@ def blocks_of(graph: SceneGraph) -> list[tuple[str, ...]]:
     """Return the name of each box that may be a grid, alone."""
     return [
         (vertex.name,) for vertex in graph.vertices
-        if vertex.shape == "box" and vertex.parent in graph.names and not graph.children(vertex.name)
+        if vertex.shape == "box" and not graph.children(vertex.name)
         and vertex.contact.type == ON_A_FACE[0] and vertex.contact.child_face == "-z"
         and vertex.contact.parent_face == "+z" and not vertex.supports
         and not any(vertex.name in other.supports for other in graph.vertices)

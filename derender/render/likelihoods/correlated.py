@@ -61,8 +61,8 @@ class Correlated(Likelihood):
     surfaces, with `clump` after such that do not, by the probability of that given their depths; and after diagonal
     ones alone, for beside holes pixels share their noise too. What is off m by d shows another surface, across an
     outline, but for the share 1 / (1 + (d / j)^4), with j = .04 m + 5 (sigma + sigma_growth m^2). So of many pixels few
-    tell of a surface; and what solids are not as they are modelled costs once where it begins and little where it goes
-    on, yet something at each pixel.
+    tell of a surface; and where solids are not as they are modelled, that costs once where it begins and little where
+    it goes on, yet something at each pixel.
 
     A pixel that goes on is off the depth m that six earlier ones predict (left, above, and the four beyond: both
     diagonals, two to the left, two above) by step + step_growth m^2. That is kriging of noise whose covariance is

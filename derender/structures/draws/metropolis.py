@@ -321,8 +321,8 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     only : coordinates that may move, None for all. open_blur : whether each view's blur is drawn too; a draw's density
         is under its own then.
     until : time.monotonic() by which chains that do not agree have gone on, and many draws end; None: while it is worth
-        it, and all are made. rounds : of the
-        warm-up, other than ROUNDS. agreed : whether chains do, by their Draws.
+        it, and all are made.
+    rounds : of the warm-up, other than ROUNDS. agreed : whether chains do, by their Draws.
     """
     members = list(range(len(values)) if only is None else only)
     walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
