@@ -34,6 +34,7 @@ from derender.structures.draws.refined import (
     climb,
     floor_pose_of,
     height,
+    log_weight,
     members_of,
     near_evidence,
     over_blur,
@@ -104,7 +105,7 @@ class Block:
 
     def __init__(self, refined: Refined, places: list[int] | None) -> None:
         self.refined, self.places = refined, None if places is None else tuple(places)
-        self.apart = refined.sensor.log_prior()  # it is in no integral
+        self.apart = log_weight(refined.sensor)  # it is in no integral
         self._evidence: Any = None
 
     @functools.cached_property
@@ -188,7 +189,7 @@ def made_sure(rng, best, others, drawn, rules):
             mean = averaged(*told[k].T)
             if mean is None:
                 continue
-            apart = others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
+            apart = log_weight(others[k].trial.sensor, ("blur",)) - log_weight(best.sensor, ("blur",))
             others[k] = others[k]._replace(odds=mean["odds"] + apart, error=mean["error"])
         close = [k for k in close if error_of_weight(others[k]) > OPEN]
         if not close or best.sensor.worth < 1.0:

@@ -14,7 +14,7 @@ from derender.render.likelihoods import likelihoods
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures.draws.chart import SIZE
 from derender.structures.draws.metropolis import engine_of, load
-from derender.structures.draws.refined import Refined, at_mode, over_blur
+from derender.structures.draws.refined import Refined, at_mode, height, over_blur
 from derender.structures.draws.sensor import (
     MOST_FLYING,
     Noise,
@@ -91,6 +91,22 @@ def test_numbers_of_the_sensor_that_a_file_gives_hold(kind):
 def refined_at_mode(sensor, chart, values):
     cube = State().add(row(BOX, 0.5, 0.0, 0.0, 0.0, (0.08,) * 3), UPRIGHT, True, FLOOR, 0.0)
     return Refined(cube, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+
+
+def test_what_shows_no_part_of_the_scene_says_nothing_of_the_noise():
+    """A wall before the floor counts for no noise more than were its pixels lost: two noises that explained the rest
+    about as well were nats apart, and so were structures that had one each."""
+    _, final, _, chart, values = fits("robust", dict(PRIOR.values))
+    clean, apart = final.clean(chart, values), []
+    walled, lost = final.observed.copy(), final.observed.copy()
+    walled[:8], lost[:8] = -0.9 * clean[:8], np.nan
+    for observed in (walled, lost):
+        less, more = (
+            refined_at_mode(final._replace(observed=observed, beside=None).changed(sigma=sigma), chart, values)
+            for sigma in (0.002, 0.003)
+        )
+        apart.append(height(more) - height(less))
+    assert (walled < 0.0).sum() > 200 and apart[0] == pytest.approx(apart[1], abs=1e-3)  # a hundred nats but for that
 
 
 def test_odds_follow_the_noise_that_a_file_gives():

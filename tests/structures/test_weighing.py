@@ -379,7 +379,8 @@ def test_a_blur_and_the_solids_that_give_way_to_it_are_fitted_together():
 
 
 def weighed(state, odds, error=0.1, places=((0,), (0,))):
-    return Weighed(Refined(state, None, np.zeros(0), SimpleNamespace(log_prior=float), 0.0, 0.0), odds, error, places)
+    sensor = SimpleNamespace(log_prior=lambda without: 0.0, views=())
+    return Weighed(Refined(state, None, np.zeros(0), sensor, 0.0, 0.0), odds, error, places)
 
 
 def test_a_structure_that_was_weighed_again_counts_by_its_surest_odds():

@@ -365,7 +365,21 @@ def refitted(refined: Refined) -> Refined:
 
 def height(refined: Refined) -> float:
     """Return the log density of a Refined, its sensor's numbers counted: what modes are compared by."""
-    return refined.log_prior + refined.log_likelihood + refined.sensor.log_prior()
+    return refined.log_prior + refined.log_likelihood + log_weight(refined.sensor)
+
+
+def log_weight(sensor: Sensor, without: tuple[str, ...] = ()) -> float:
+    """Return the log density of a Sensor's unknown numbers, less what pixels that show no part of the scene have where
+    it does not hide them: nothing is known of such a surface, so it says nothing of the noise.
+
+    without : names of numbers that do not count.
+    """
+    total = sensor.log_prior(without)
+    for view in sensor.views:
+        if (beyond := view.observed < 0.0).any():
+            nothing = np.full(beyond.shape, np.inf)
+            total -= float(view.likelihood.per_pixel(view.observed, nothing, view.values)[beyond].sum())
+    return total
 
 
 def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...], draws: np.ndarray) -> Evidence:
