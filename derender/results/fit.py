@@ -208,11 +208,13 @@ class Explanation(NamedTuple):
         return float(near[valid].mean()) if valid.any() else 0.0
 
     def borne_out(self, seen: np.ndarray) -> dict[str, float]:
-        """Return for each object which share of the valid pixels of `seen` (H, W) that are to show it do, by Laplace's
-        rule of succession: few pixels make nothing sure."""
+        """Return for each object which share of the valid pixels of `seen` (H, W) that are to show it do, at its
+        silhouette also what lies between it and what is beside it, by Laplace's rule of succession: few pixels make
+        nothing sure."""
         valid = np.isfinite(seen) & (seen > 0)
+        tolerance, (low, high) = tolerance_of(seen, flat_noise(seen)), neighbourhood(self.depth, AT_EDGES)
         with np.errstate(invalid="ignore"):
-            near = np.abs(self.depth - seen) <= tolerance_of(seen, flat_noise(seen))
+            near = (seen >= low - tolerance) & (seen <= high + tolerance)
         shown = {name: valid & (self.label == place) for place, name in enumerate(self.names)}
         return {name: float((near[own].sum() + 1) / (own.sum() + 2)) for name, own in shown.items() if own.any()}
 

@@ -5,6 +5,7 @@ import pytest
 from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
+from derender.render.blur import blur
 from derender.results.fit import BACKGROUND, FLOOR, UNEXPLAINED, Explanation, explain, grow, means_about, smooth_surface
 
 CAMERA = Camera.from_field_of_view(64, 48)
@@ -110,6 +111,16 @@ def test_what_goes_on_beyond_a_coarse_outline_is_the_things():
 
 def test_an_object_that_few_pixels_contradict_is_not_ruled_out():
     """A structure with such an object had no weight at all, and where all had it none could be drawn from."""
-    label = np.array([[0, 0, 1, 1]], np.int32)
-    told = Explanation(label, np.array([[1.0, 1.0, 1.5, 1.5]], np.float32), ("lost", "found"))
-    assert told.borne_out(np.full((1, 4), 1.5)) == {"lost": pytest.approx(0.25), "found": pytest.approx(0.75)}
+    label = np.array([[0, 0, -3, 1, 1]], np.int32)
+    told = Explanation(label, np.array([[1.0, 1.0, np.nan, 1.5, 1.5]], np.float32), ("lost", "found"))
+    assert told.borne_out(np.full((1, 5), 1.5)) == {"lost": pytest.approx(0.25), "found": pytest.approx(0.75)}
+
+
+def test_a_blurred_outline_contradicts_no_object():
+    """Of a solid that shows in a dozen pixels most are its outline's, between it and what is beside it."""
+    label = np.full((12, 12), -1, np.int32)
+    label[4:8, 4:8] = 0
+    depth = np.where(label == 0, 0.8, 1.0)
+    told = Explanation(label, depth.astype(np.float32), ("small",))
+    assert told.borne_out(blur(depth, 0.5)) == {"small": pytest.approx(17 / 18)}
+    assert told.borne_out(np.full(depth.shape, 0.5))["small"] == pytest.approx(1 / 18)
