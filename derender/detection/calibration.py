@@ -9,6 +9,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.camera.windows import grown, shrunk
+from derender.detection.floor import floor_depth
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
 from derender.detection.rounding import least_step
@@ -60,9 +61,7 @@ def residuals(depth: np.ndarray, camera: Camera, name: str) -> tuple[np.ndarray,
     name : of the frame, for messages.
     """
     floor = find_floor(depth, camera)
-    normal = floor.pose[:3, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        plane = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
+    plane = floor_depth(floor.pose, camera)
     if floor.inliers.sum() < LEAST_PIXELS:
         what = f"{int(floor.inliers.sum())} pixels lie on a plane: fewer than {LEAST_PIXELS}"
         raise DerenderError(what, name, "give frames that show a bare table and little else")

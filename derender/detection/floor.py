@@ -390,12 +390,19 @@ def drawn(depth: np.ndarray, floor: Floor, camera: Camera) -> bool:
     return share_within(depth, floor, camera, SUREST / 5) > 0.99
 
 
+def floor_depth(floor: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the depth (H, W) of a floor alone, inf where it is not met."""
+    along = camera.rays() @ floor[:3, 2]
+    with np.errstate(divide="ignore"):
+        depth = (floor[:3, 3] @ floor[:3, 2]) / along
+    return np.where(depth > 0.0, depth, np.inf)
+
+
 def share_within(depth: np.ndarray, floor: Floor, camera: Camera, metres: float | np.ndarray) -> float:
     """Return the share of the pixels of the floor's near half that are off it by so many metres, of each, at most."""
     if not floor.inliers.any():
         return 0.0
-    normal = floor.pose[:3, 2]
-    plane = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
+    plane = floor_depth(floor.pose, camera)
     near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
     return float((np.abs(depth - plane) <= metres)[near].mean())
 
@@ -409,7 +416,7 @@ def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: Camera) -> fl
         return 0.0
     normal = floor.pose[:3, 2]
     height = (camera.points(depth) - floor.pose[:3, 3]) @ normal
-    distance = floor.pose[:3, 3] @ normal / (camera.rays() @ normal)
+    distance = floor_depth(floor.pose, camera)
     near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
     limit = 3 * scatter(height[near]) + 1e-6
     height = np.where(near & (np.abs(height) < limit), height, np.nan)

@@ -12,6 +12,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads
+from derender.detection.floor import floor_depth
 from derender.detection.search.bodies import body_hypotheses
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import CUBE, FIRST, HIGH, LOW, NODES, Beliefs, bare_image
@@ -26,7 +27,7 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.alternatives import PROMISING, QUICK, likeliest_of_each
 from derender.structures.draws.chart import PARENT
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
-from derender.structures.draws.sensor import floor_depth, model_depth
+from derender.structures.draws.sensor import model_depth
 
 SIDES = (2, 3, 5, 8)  # pixels of the windows
 FAINT = 4.5  # standard deviations: 3e-6 of independent windows, of which an image of 3,000 pixels has ten thousand

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from test_graph_posterior import camera, floor_pose, row
 
+from derender.detection.floor import floor_depth
 from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
-from derender.structures.draws.sensor import Sensor, floor_depth, model_depth
+from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.unexplained import drawn_extents, drawn_rows, hidden_expected, out_of_sight, rate_on_floor
 
 VIEW = camera(96, 72)

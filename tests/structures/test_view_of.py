@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
+from derender.detection.floor import floor_depth
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import any_sensor
 from derender.detection.solids.image import make_row
@@ -27,7 +28,7 @@ from derender.structures.draws.refined import (
     with_out_of_reach,
     without_unseen,
 )
-from derender.structures.draws.sensor import first_sensor, floor_depth, model_depth, shown, too_far
+from derender.structures.draws.sensor import first_sensor, model_depth, shown, too_far
 
 CAMERA = Camera(30.0, 30.0, 15.5, 11.5, 32, 24)
 POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))

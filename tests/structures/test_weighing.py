@@ -379,7 +379,7 @@ def test_a_blur_and_the_solids_that_give_way_to_it_are_fitted_together():
 
 
 def weighed(state, odds, error=0.1, places=((0,), (0,))):
-    sensor = SimpleNamespace(log_prior=lambda without: 0.0, views=())
+    sensor = SimpleNamespace(log_prior=lambda without: 0.0, log_density_beyond=0.0, others=())
     return Weighed(Refined(state, None, np.zeros(0), sensor, 0.0, 0.0), odds, error, places)
 
 

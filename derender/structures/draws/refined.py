@@ -11,6 +11,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.camera.windows import grown
 from derender.compilation.threads import THREADS, in_threads
+from derender.detection.floor import floor_depth
 from derender.detection.search.observation import CORRELATED, of_whole_image
 from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
 from derender.detection.solids.graph import names_of, scene_graph
@@ -32,7 +33,6 @@ from derender.structures.draws.sensor import (
     blurs_about,
     final_sensor,
     first_sensor,
-    floor_depth,
     held_by,
     model_image,
     same_sensor_refitted,
@@ -374,12 +374,7 @@ def log_weight(sensor: Sensor, without: tuple[str, ...] = ()) -> float:
 
     without : names of numbers that do not count.
     """
-    total = sensor.log_prior(without)
-    for view in sensor.views:
-        if (beyond := view.observed < 0.0).any():
-            nothing = np.full(beyond.shape, np.inf)
-            total -= float(view.likelihood.per_pixel(view.observed, nothing, view.values)[beyond].sum())
-    return total
+    return sensor.log_prior(without) - sum(view.log_density_beyond for view in (sensor, *sensor.others))
 
 
 def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...], draws: np.ndarray) -> Evidence:

@@ -44,14 +44,8 @@ FLYING_GAIN = 30.0  # nats by which some have to explain an image better than no
 NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and hardly anything that it does not explain
 
 
-class Sensor(NamedTuple):
-    """A likelihood bound to an image, or to several of one scene that stands still: then their product.
-
-    observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it shows what is no
-        part of the scene, see `Robust`.
-    into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
-    beside : see `Likelihood.beside`; None: not made yet. Of another `observed` there is none.
-    """
+class SensorFields(NamedTuple):
+    """What a Sensor holds."""
 
     camera: Camera
     observed: np.ndarray
@@ -61,6 +55,16 @@ class Sensor(NamedTuple):
     into: np.ndarray = np.eye(4)
     others: tuple["Sensor", ...] = ()  # Sensors of the other views, each of one
     beside: np.ndarray | None = None
+
+
+class Sensor(SensorFields):
+    """A likelihood bound to an image, or to several of one scene that stands still: then their product.
+
+    observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it shows what is no
+        part of the scene, see `Robust`.
+    into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
+    beside : see `Likelihood.beside`; None: not made yet. Of another `observed` there is none.
+    """
 
     @property
     def returned(self) -> np.ndarray:
@@ -110,6 +114,15 @@ class Sensor(NamedTuple):
         held["background"] = self.values.get("background", BACKGROUND)
         return Noise(self.observed, clean, held, believed, outliers=self.likelihood.name != "gaussian")
 
+    @cached_property
+    def log_density_beyond(self) -> float:
+        """The log density of the first view's pixels that show no part of the scene, where it does not hide them."""
+        beyond = self.observed < 0.0
+        if not beyond.any():
+            return 0.0
+        nothing = np.full(beyond.shape, np.inf)
+        return float(self.likelihood.per_pixel(self.observed, nothing, self.values)[beyond].sum())
+
     def log_prior(self, without: tuple[str, ...] = ()) -> float:
         """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
         without : names of those that do not count."""
@@ -141,14 +154,6 @@ def model_depth(
     return model_image(chart, values, camera, into, wall)[0]
 
 
-def floor_depth(floor: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the depth (H, W) of a floor alone, inf where it is not met."""
-    along = camera.rays() @ floor[:3, 2]
-    with np.errstate(divide="ignore"):
-        depth = (floor[:3, 3] @ floor[:3, 2]) / along
-    return np.where(depth > 0.0, depth, np.inf)
-
-
 def too_far(observed: np.ndarray) -> np.ndarray:
     """Return (H, W) bool: pixels so far behind most others that they only tell that nothing stands nearer."""
     return observed > FAR_AWAY * np.nanmedian(np.abs(observed))
@@ -172,15 +177,9 @@ def held_by(prior: LikelihoodPrior | None) -> dict[str, float]:
     return {} if prior is None else prior.fixed
 
 
-def first_sensor(
-    camera: Camera,
-    observed: np.ndarray,
-    chart: Chart,
-    values: np.ndarray,
-    prior: LikelihoodPrior | None = None,
-    into: np.ndarray | None = None,
-    wall: float | None = None,
-) -> Sensor:
+def first_sensor(camera: Camera, observed: np.ndarray, chart: Chart, values: np.ndarray,
+                 prior: LikelihoodPrior | None = None, into: np.ndarray | None = None,
+                 wall: float | None = None) -> Sensor:  # fmt: skip
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor.
     wall : how far away what lies behind everything is seen, see `Observation`; None: it is not."""
     into = np.eye(4) if into is None else into
