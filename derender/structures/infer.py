@@ -88,7 +88,8 @@ def infer_structure(
         return replace(found, meta={**found.meta, "interrupted": True})
     many, now = (len(each.best_graph().solid_names) for each in (found, other))
     fewer = now <= FEWER * many or (now <= many and things_in(other) < things_in(found))
-    return other if (found.meta["spots"] or fewer) and lost(found, other) < MOST_LOST else found
+    same = lost(found, other) < MOST_LOST and not loses_one(found, other)
+    return other if same and (found.meta["spots"] or fewer) else found
 
 
 def found_in(rng: np.random.Generator, case: Case, say: Progress) -> Posterior:
@@ -121,6 +122,14 @@ def lost(found: Posterior, other: Posterior) -> float:
     assert found.explanation is not None and other.explanation is not None, "both tell what each pixel shows"
     shown = found.explanation.label > FLOOR
     return float(least(shown & (other.explanation.label <= FLOOR), EDGE).sum() / max(shown.sum(), 1))
+
+
+def loses_one(found: Posterior, other: Posterior) -> bool:
+    """Whether half of the pixels of some object of one Posterior show none in another: that is no other reading of it.
+    Pieces into which noise split a solid show that solid then."""
+    assert found.explanation is not None and other.explanation is not None, "both tell what each pixel shows"
+    label, gone = found.explanation.label, other.explanation.label <= FLOOR
+    return any(gone[label == k].mean() > 0.5 for k in np.unique(label[label > FLOOR]))
 
 
 def searched(rng: np.random.Generator, case: Case, pool: list[tuple[State, float]], say: Progress) -> "list[Look]":

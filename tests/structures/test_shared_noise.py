@@ -19,7 +19,7 @@ from derender.results.fit import BACKGROUND
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.draws.sensor import ROUNDS, Sensor, under_shared_noise
-from derender.structures.infer import found_in, infer_structure, lost
+from derender.structures.infer import found_in, infer_structure, loses_one, lost
 from derender.structures.options import Options
 
 CAMERA = Camera(110.0, 110.0, 63.5, 47.5, 128, 96)
@@ -154,6 +154,10 @@ def test_what_a_second_search_leaves_counts_as_lost_but_not_along_its_edges():
 
     assert lost(told(0, 1), told(0, 1)) == 0.0
     assert lost(told(0, 1), told(0)) == pytest.approx(16 / 136)
+    assert loses_one(told(0, 1), told(0)) and not loses_one(told(0), told(0, 1))
     narrower = told(0, 1)
     narrower.explanation.label[:, [5, 14, 20, 25]] = -1
-    assert lost(told(0, 1), narrower) == 0.0
+    assert lost(told(0, 1), narrower) == 0.0 and not loses_one(told(0, 1), narrower)
+    tiny = told(0)
+    tiny.explanation.label[0, 0] = 1  # however small beside the others
+    assert lost(tiny, told(0)) == 0.0 and loses_one(tiny, told(0))
