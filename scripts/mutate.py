@@ -121,8 +121,8 @@ MUTATIONS = [
          "total += (1.0 - self.on_prior) * component.weight", "total += component.weight", JUMPS),
         ("jumps: bearers not counted", "structures/jumps/base.py", "-math.log(len(bearers))", "0.0", JUMPS),
         # weights of structures of a bare image
-        ("merge: one box's evidence only", "structures/unions.py", "[place]), Block(best, [i, j])",
-         "[place]), Block(best, [i])", WEIGHTS),
+        ("merge: one box's evidence only", "structures/unions.py", "Block(best, own)",
+         "Block(best, [i])", WEIGHTS),
         ("blocks weighed by near evidence", "structures/weighing.py", "found.log + block.apart - held.log - own.apart",
          "block.near - own.near", ("tests/structures/test_weighing.py",)),
         ("focal length: stretch of pixels dropped", "results/focal_length.py",

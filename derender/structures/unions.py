@@ -16,10 +16,10 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, with_bottom
 from derender.render.likelihoods.pixelwise import noise_at
 from derender.scene.solids import BOX, SPHERE
-from derender.structures.alternatives import DOUBTFUL, QUICK, climbed, tried, weighed_whole
-from derender.structures.changes import LEAST_TALL, reached_down
+from derender.structures.alternatives import DOUBTFUL, QUICK, climbed, tried, unclimbed, weighed_whole
+from derender.structures.changes import LEAST_TALL, carried_upright, reached_down
 from derender.structures.draws.chart import Chart, make_chart
-from derender.structures.draws.refined import Refined, floor_pose_of
+from derender.structures.draws.refined import Refined, floor_pose_of, height
 from derender.structures.weighing import Block, Weighed, of_block
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
@@ -43,23 +43,32 @@ def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
     """Return the Weighed of an upright box being one with a smaller one beside it, or, but where neighbouring pixels
-    share noise, with whatever is there; or with what a gap parts from it of which the image shows as good as
-    nothing; and of a tilted box going on to the floor through a smaller one, which shows of its foot."""
+    share noise, with what is there of any other kind, however large: a can may be what shows of a corner; or with what
+    a gap parts from it of which the image shows as good as nothing; and of a tilted box going on to the floor through
+    a smaller one, which shows of its foot."""
     state, tasks = best.state, []
     boxes = [k for k in range(len(state)) if int(state.rows[k][0]) == BOX]
     upright = [k for k in boxes if state.forms[k] == UPRIGHT]
     for i in boxes:
         for j in range(len(state)) if best.sensor.worth >= 1.0 else upright:
-            if i == j or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
+            if i == j or j in boxes and np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
                 continue
             if i not in upright:
                 ones = [longer.without(j) for longer in reached_down(best, i) if touching(longer, i, j)]
-            elif touching(state, i, j) or parted_unseen(best, i, j, rules):
+            elif touching(state, i, j):
+                ones = [likeliest_of(best, ways_as_one(state, i, j), rules)]
+            elif parted_unseen(best, i, j, rules):
                 ones = [as_one(state, i, j)]
             else:
                 ones = []
             tasks += [partial(merged, best=best, state=one, i=i, j=j, rules=rules) for one in ones]
     return [found for found in in_threads(rng, tasks) if found is not None]
+
+
+def likeliest_of(best: Refined, states: list[State], rules: Rules) -> State:
+    """Return the one of some states that is likeliest as it is, on the floor and under the sensor of a Refined."""
+    floor = floor_pose_of(best)
+    return max(states, key=lambda state: height(unclimbed(state, floor, best.sensor, rules)))
 
 
 def touching(state: State, i: int, j: int, gap: float = NEIGHBOURS) -> bool:
@@ -74,20 +83,36 @@ def parted_unseen(best: Refined, i: int, j: int, rules: Rules) -> bool:
     return change_of_image(best, *make_chart(as_one(best.state, i, j), floor_pose_of(best), rules)) < FLUSH_ENOUGH
 
 
-def as_one(state: State, i: int, j: int) -> State:
-    """Return the state with the upright box about solids i and j in place of both."""
+def as_one(state: State, i: int, j: int, row: np.ndarray | None = None) -> State:
+    """Return the state with an upright box in place of solids i and j, what stands on them on it.
+    row : the box's; None: the one about both along the axes of i."""
     lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
-    new = state.changed(i, row=merged_row(state.rows[i], state.rows[j]), cube=False, parent=state.parents[lower],
-                        bottom=state.bottoms[lower])  # fmt: skip
+    row = merged_row(state.rows[i], state.rows[j]) if row is None else row
+    new = state.changed(i, row=row, cube=False, parent=state.parents[lower], bottom=state.bottoms[lower])
     new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
+    for k in carried_upright(new, i):
+        if k != j:
+            new.bottoms[k] = highest(row)
     return new.without(j)
+
+
+def ways_as_one(state: State, i: int, j: int) -> list[State]:
+    """Return the states in which an upright box and another solid are one box: about both, along either's axes, or as
+    one of them was, for what was cut in two may have been turned and sized to fit its half."""
+    bottom = min(lowest(state.rows[i]), lowest(state.rows[j]))
+    pairs = [(state.rows[k], state.rows[other]) for k, other in ((i, j), (j, i))
+             if int(state.rows[k][0]) == BOX and state.forms[k] == UPRIGHT]  # fmt: skip
+    rows = [merged_row(*pair) for pair in pairs] + [with_bottom(row, bottom) for row, _ in pairs]
+    return [as_one(state, i, j, row) for row in rows]
 
 
 def merged(rng: np.random.Generator, best: Refined, state: State, i: int, j: int, rules: Rules) -> Weighed | None:
     """Return the Weighed of a state in which solid `j` is part of `i`; None where that is pruned."""
     place = i - (j < i)
-    trial = tried(rng, best, state, [place], rules)
-    return None if trial is None else of_block(rng, Block(trial, [place]), Block(best, [i, j]))
+    places = [place, *carried_upright(state, place)]
+    trial = tried(rng, best, state, places, rules)
+    own = [i, j, *(k + (k >= j) for k in places[1:])]
+    return None if trial is None else of_block(rng, Block(trial, places), Block(best, own))
 
 
 def recuts(rng, best, rules):

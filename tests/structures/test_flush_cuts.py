@@ -9,15 +9,16 @@ from derender.camera.intrinsics import Camera
 from derender.detection.search.moves import cut_anew
 from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import make_row
+from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
-from derender.scene.solids import BOX
+from derender.scene.solids import BOX, CYLINDER
 from derender.structures.draws.chart import log_prior, make_chart, tipping
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.unions import HIDDEN_GAP, merges, on_supports, parted_unseen, recuts, touching
+from derender.structures.unions import HIDDEN_GAP, merges, on_supports, parted_unseen, recuts, touching, ways_as_one
 from derender.structures.weighing import evidence_over, odds_at
 
 RULES = Rules(0.0015)
@@ -38,6 +39,14 @@ def boxes(*solids):
         centre = turned[:3, :3] @ [x, y, bottom + size[2] / 2]
         state = state.add(make_row(BOX, turned[:3, :3], centre, np.array(size)), UPRIGHT, False, FLOOR, bottom)
     return on_supports(state)
+
+
+def standing(*rows):
+    """The State of solids that stand upright on the floor."""
+    state = State()
+    for row in rows:
+        state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
+    return state
 
 
 SIDE, BOARD = [0.03, 0.1, 0.1], [0.3, 0.1, 0.03]
@@ -63,10 +72,10 @@ def tips(refined):
     return bool(tipping(refined.chart, refined.state.rows))
 
 
-def seen_as(rng, truth, state):
-    """Return the Refined of a state given the image of another."""
+def seen_as(rng, truth, state, sigma=0.001):
+    """Return the Refined of a state given the image of another, with so many metres of noise."""
     view, likelihood = Camera(75.0, 75.0, 39.5, 29.5, 80, 60), likelihoods["gaussian"]
-    numbers = likelihood.complete({"sigma": 0.001})
+    numbers = likelihood.complete({"sigma": sigma})
     depth = model_depth(*make_chart(truth, floor_pose(), RULES), view)
     sensor = Sensor(view, likelihood.sample(rng, depth, numbers), likelihood, numbers)
     return at_mode(rng, state, floor_pose(), sensor, RULES)
@@ -93,6 +102,30 @@ def test_two_ends_of_a_box_that_another_hides_the_middle_of_are_one():
     assert len(best.state) == 3
     (found,) = [each for each in merges(rng, best, RULES) if len(each.trial.state) == 2]
     assert found.odds > 3.0 and np.isclose(found.trial.state.rows[:, 13].max(), 0.59, atol=0.005)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_can_and_the_board_beside_it_may_be_one_box(seed):
+    """Noise may have a search find them in a box. Boxes alone were tried as one with something smaller."""
+    rng, turned, truth = np.random.default_rng(seed), rotation_z(0.3)[:3, :3], [0.11, 0.09, 0.08]
+    can = make_row(CYLINDER, np.eye(3), turned @ [-0.01, 0.0, 0.04], np.array([0.09, 0.09, 0.08]))
+    board = make_row(BOX, turned, turned @ [0.045, 0.0, 0.04], np.array([0.02, 0.09, 0.08]))
+    best = seen_as(rng, boxes((0, 0, 0, truth)), standing(can, board), 0.012)
+    (found,) = merges(rng, best, RULES)
+    (one,) = found.trial.state.rows
+    assert int(one[0]) == BOX and np.allclose(one[13:], truth, atol=0.02) and found.odds > 3.0
+
+
+def test_what_stands_on_two_solids_stands_on_the_box_that_is_both():
+    box, can = (
+        (0, 0, 0, [0.1, 0.08, 0.06]),
+        make_row(CYLINDER, np.eye(3), np.array([0.08, 0.0, 0.05]), np.array([0.06, 0.06, 0.1])),
+    )
+    state = standing(*boxes(box).rows, can)
+    state = on_supports(state.add(boxes((0.08, 0, 0.1, [0.03, 0.03, 0.03])).rows[0], UPRIGHT, False, 1, 0.1))
+    for way in ways_as_one(state, 0, 1):
+        top = highest(way.rows[0])
+        assert way.parents == [FLOOR, 0] and way.bottoms[1] == top and int(way.rows[0][0]) == BOX
 
 
 def test_boxes_are_not_tried_as_one_where_the_floor_between_them_shows():
