@@ -10,6 +10,7 @@ unexplained and by what their numbers cost. What was found is never less likely 
 odds, the two are as likely as each other.
 """
 
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +20,13 @@ from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of, without_thing
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import body_hypotheses, box_about, bridged, label_bodies
-from derender.detection.search.greedy import Settings, Task, complexity, sweep, total_energy, try_cubes
-from derender.detection.search.observation import Observation
-from derender.detection.search.searches import Climb, merged
-from derender.detection.segments import two_sides
+from derender.detection.search.greedy import Settings, Task, complexity, greedy, sweep, total_energy, try_cubes
+from derender.detection.search.moves import appear_on
+from derender.detection.search.observation import Observation, patches_of
+from derender.detection.search.proposals import all_hypotheses, make_surface, smallest_rectangle
+from derender.detection.search.searches import Climb, explain_rest, merged
+from derender.detection.segments import segments, two_sides
+from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import Solid, State, held_out, run_polish
@@ -43,6 +47,7 @@ from derender.detection.things import (
     shows_below,
     standing,
 )
+from derender.scene.pose import rotation_z
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least, unless
@@ -50,6 +55,7 @@ SAME = 0.75  # it shows where the thing does: share of the pixels of either that
 LEFT_PIXELS = 25  # that it has at least
 # Of polishing a solid in its place; ways in which a box is turned at first; how many of all are looked at to the end.
 ROUNDS, YAWS, FINISHED = 200, 6, 3
+CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # shares of the pixels on one side of cuts through what may be two
 
 
 def leftovers(
@@ -73,9 +79,11 @@ def leftovers(
     shows = seen.mask & ~left & (image.floor > depth)
     large = np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS)
     for k in with_insides(seen, piece, left, large):
-        whole, mask = piece == k, (piece == k) & left
+        whole = piece == k
+        mask = whole & left & (held_out(image, state, -1)[2] > BAD)
+        if mask.sum() < LEFT_PIXELS:  # solids that were found for others explain it
+            continue
         low, high = ends_of(seen.points[mask], ENDS)
-        gain = float(misfit[mask].sum())
         if high[2] <= max(LEAST_HEIGHT * seen.scale, settings.uneven) or max(high[:2] - low[:2]) >= LARGEST:
             continue
         probability, _ = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
@@ -89,10 +97,15 @@ def leftovers(
             if part is None or share_over(seen.points[mask], state.rows[part]) <= BENEATH:
                 continue
         if part is not None:
+            apart = as_solids(rng, seen, state, part, mask, cost, settings)
+            if apart is not None:
+                state = apart
+                continue
             state, more = joined(seen, state, (part,), mask)
             found += more
             continue
         if exists:
+            gain = float(held_out(image, state, -1)[2][mask].sum())
             with_it, gained = with_solid(rng, seen, state, mask, settings)
             cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers(mask))
             shown = held_out(image, with_it, -1)[1] == len(with_it) - 1
@@ -140,6 +153,59 @@ def with_solid(
         if (energy := total_energy(image, new, settings)) < least:
             best, least = new, energy
     return best, before - least + settings.price - settings.temper * LEFT_PRICE
+
+
+def as_solids(rng: np.random.Generator, seen: Observation, state: State, part: int, mask: np.ndarray, cost: Cost,
+              settings: Settings) -> State | None:  # fmt: skip
+    """Return the State with two solids for what one of it, `part`, and a mask (H, W) beside that show; None where both
+    as one free-form thing explain the image better, or not clearly worse.
+
+    A search may have found one solid about two that touch, where that leaves less unexplained than another one costs.
+    """
+    fewer = state.without(part)
+    _, label, misfit, _ = held_out(seen.image, state, -1)
+    whole = mask | ((label == part) & (seen.image.weight > 0) & (misfit < LIMIT))
+    other = seen.mask & ~whole & (misfit > BAD)
+    image = seen.image._replace(weight=np.where(other, 0.0, seen.image.weight))
+    low = settings._replace(price=settings.temper * LEFT_PRICE)
+    climb = Climb(rng, Task(image, low, solids_within(seen, whole, cost, settings)), state)
+    climb.takes((greedy(rng, image, climb.task.hypotheses, low, fewer), None))
+    explain_rest(climb)
+    for each in cut_in_two(climb, fewer, seen.points[whole], max(lowest(state.rows[part]), 0.0))[:FINISHED]:
+        climb.takes((each, {len(fewer), len(fewer) + 1}))
+    least = total_energy(image, fewer, settings) - gain_of_thing(seen, fewer, whole, cost, settings)
+    two = [(total_energy(image, each, settings), k, each)
+           for k, (each, _) in enumerate(climb.pool) if len(each) == len(state) + 1]  # fmt: skip
+    energy, _, best = min(two, default=(np.inf, 0, None))
+    return best if energy < least - settings.temper * LEFT_LEAST else None
+
+
+def cut_in_two(climb: Climb, state: State, points: np.ndarray, bottom: float) -> list[State]:
+    """Return the States with two solids more, beside or on each other, that show points (K, 3) on either side of cuts
+    along each axis of their box, the likeliest first. bottom : the height in metres on which the lower one stands."""
+    image, settings, _ = climb.task
+    turned, tries = points @ rotation_z(smallest_rectangle(points[:, :2]))[:3, :3], []
+    for axis, share in product(range(3), CUTS):
+        low = turned[:, axis] < np.quantile(turned[:, axis], share)
+        new, height = state, bottom
+        for side in (low, ~low):
+            if side.sum() >= FEWEST:
+                new, (k,) = appear_on(climb.rng, climb.task, new, points[side], height)
+                height = highest(new.rows[k]) if axis == 2 else bottom
+        if len(new) == len(state) + 2:
+            tries.append((total_energy(image, new, settings), len(tries), new))
+    return [each for *_, each in sorted(tries)]
+
+
+def solids_within(seen: Observation, mask: np.ndarray, cost: Cost, settings: Settings) -> list[Solid]:
+    """Return the hypotheses of solids that the pixels of a mask (H, W), or those of a piece of it, suggest."""
+    footprint, sigma = (float(np.median(each[mask])) for each in (seen.footprint, seen.sigma))
+    patches = patches_of(seen._replace(mask=mask))
+    found = all_hypotheses(make_surface(seen.points, patches, seen.image.origin, footprint, sigma), settings.shapes)
+    label, count, _ = segments(seen.surface, mask, cost.normal)
+    for piece in (mask, *(label == k for k in range(count))):
+        found += body_hypotheses(seen.points[piece], seen.image.origin, settings.shapes)
+    return found
 
 
 def polished(rng: np.random.Generator, seen: Observation, state: State, i: int, mask: np.ndarray, bottom: float,

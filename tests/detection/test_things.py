@@ -631,6 +631,22 @@ def test_the_inside_of_a_bowl_that_is_left_over_belongs_to_its_outside():
     assert len(state) == 0 and [int(mask.sum()) for mask in found] == [int(seen.mask.sum())]
 
 
+def test_two_that_touch_and_were_one_solid_are_two_solids_and_a_loaf_one_thing():
+    """A search found one box over a box and half of the can beside it: both were one free-form thing, and trusted."""
+    carton, can, ball = (0.08, 0.06, 0.1), (0.06, 0.06, 0.07), trimesh.creation.icosphere(4)
+    loaf = ball.vertices, np.ascontiguousarray(ball.faces, np.int32)
+    two = [(BOX, 0.0, 0.0, carton, None), (CYLINDER, 0.07, 0.0, can, None)]
+    for shown, sizes in ((two, (carton, can)), ([(MESH, 0.03, 0.0, (0.18, 0.08, 0.1), loaf)], ())):
+        seen = observe(seen_on_the_table(shown), CAMERA)._replace(correlation=0.9)
+        place = np.linalg.inv(seen.floor.pose) @ TABLE
+        row = make_row(BOX, place[:3, :3], place[:3] @ [0.015, 0.0, 0.05, 1.0], np.array([0.11, 0.06, 0.1]))
+        before, settings = State().add(row, UPRIGHT, False, FLOOR, 0.0), Settings().for_pixels(60.0)
+        _, state, found, _ = leftovers(np.random.default_rng(0), seen, before, settings)
+        assert len(found) == (not sizes)
+        for row, size in zip(sorted(state.rows.tolist(), key=lambda row: -row[15]), sizes, strict=True):
+            assert row[13:16] == pytest.approx(size, abs=0.015)
+
+
 def test_what_is_left_over_and_low_is_an_object_where_it_shows_clearly():
     """A rod of 14 mm on a bare table was left unexplained, and the answer trusted: it was below a limit for clutter."""
     seen = observe(seen_on_the_table([(BOX, 0.0, 0.0, (0.12, 0.03, 0.014), None)]), CAMERA)._replace(correlation=0.9)
