@@ -8,6 +8,7 @@ from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
+from derender.tracking.reaching import PRICE, reaching
 from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
@@ -23,6 +24,7 @@ EXCESS = (4.0, 0.03)  # standard deviations, and share, by which the cost may be
 USUAL_OFF = 0.003  # share of the pixels that are off in a good fit, at least
 DEVIATION = 0.7  # nats: of one pixel's cost
 OFF = 4.0  # standard deviations at which a pixel is off
+LITTLE = 0.03  # metres: what a hand lifts at up to a metre a second comes no nearer than this in a frame
 BESIDE, MOST_BESIDE = 6, 0.12  # pixels about a thing, and the share of its own that may be nearer there
 
 
@@ -31,7 +33,9 @@ class Drawing:
 
     camera : Camera. start : thing.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
     kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
-    misfit : Misfit. observed, spread : (H, W) metres. backdrop : (H, W) depth of what lies behind and is no floor.
+    misfit : Misfit. clean : (H, W) metres, 0 where nothing returned; observed : the same, 0 where the backdrop is, too;
+    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth. hand : (H, W) bool, what reaches
+    in from the border. backdrop : (H, W) depth of what lies behind and is no floor.
     rounds : sets of normal equations so far.
     """
 
@@ -40,6 +44,7 @@ class Drawing:
         self.things, self.floor, self.view = list(start.things), start.floor, np.eye(4)
         self.backdrop: np.ndarray | None = None
         self.rounds = 0
+        self.returned = np.isfinite(depth) & (depth > 0) & (not moving_camera)
         self.allocate(depth)
         self.see(depth)
         cost(self.misfit, self.poses, self.sizes)
@@ -69,12 +74,34 @@ class Drawing:
         clean = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
         spread = np.empty(clean.shape)
         fitting.spread_of(clean, self.start.sigma, self.start.growth, LEAST_NOISE, spread)
-        self.spread = spread
+        self.spread, self.clean, self.hand = spread, clean, np.zeros(clean.shape, bool)
+        self.misfit.floor[:] = np.exp(-LIMIT)
         if self.backdrop is not None:
             same = (self.backdrop > 0) & (np.abs(clean - self.backdrop) < OFF * spread + 0.01)
             clean = np.where(same, 0.0, clean)
         self.observed = clean
         fitting.look(self.misfit, clean, spread)
+
+    def noise(self, depth: np.ndarray) -> np.ndarray:
+        """Return the standard deviation (H, W) of the sensor's noise at depths (H, W), metres."""
+        return np.maximum(self.start.sigma + self.start.growth * depth**2, LEAST_NOISE)
+
+    def take_hand(self) -> None:
+        """Find the hand in the present frame by what is drawn; its pixels tell less from now on."""
+        self.hand = reaching(self)
+        if self.hand.any():
+            self.misfit.floor[self.hand] = np.exp(-PRICE)
+            fitting.look(self.misfit, self.observed, self.spread)
+            cost(self.misfit, self.poses, self.sizes)
+
+    def cost_without_hand(self) -> float:
+        """Return the cost of the image but for the pixels that may show a hand."""
+        total = float(cost(self.misfit, self.poses, self.sizes))
+        if self.hand.any():
+            off = (self.misfit.blurred - self.observed)[self.hand] ** 2 * self.misfit.precision[self.hand]
+            floor = np.exp(-PRICE)
+            total -= float(np.log((1 + floor) / (np.exp(-0.5 * off) + floor)).sum())
+        return total
 
     def owner(self) -> np.ndarray:
         """Return (H, W) the number of the solid that each pixel shows, -1 for none."""
@@ -173,6 +200,17 @@ class Drawing:
         column, row = self.camera.project(centre)
         return not (0 <= column < self.camera.width and 0 <= row < self.camera.height)
 
+    def raised(self, k: int) -> float:
+        """Return the share of thing k's pixels that show a hand, or the thing in it: nearer by less than LITTLE."""
+        mine = self.owner() == self.planes + k
+        nearer = (self.misfit.blurred - self.observed)[mine & self.hand & (self.observed > 0)]
+        return float((nearer < LITTLE).sum() / max(int(mine.sum()), 1))
+
+    def shown(self, k: int) -> float:
+        """Return the share of thing k's pixels that no hand hides."""
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        return float(self.counts[self.planes + k, 1] / max(int((self.owner() == self.planes + k).sum()), 1))
+
     def left_behind(self, k: int) -> bool:
         """Whether many pixels beside thing k are nearer than anything drawn there."""
         rectangle = self.misfit.canvas.rectangle[self.planes + k]
@@ -182,4 +220,5 @@ class Drawing:
         columns = slice(max(rectangle[0] - BESIDE, 0), rectangle[1] + BESIDE)
         observed = self.observed[rows, columns]
         off = (observed > 0) & (self.misfit.blurred[rows, columns] - observed > 2 * OFF * self.spread[rows, columns])
+        off &= ~self.hand[rows, columns]
         return int(off.sum()) > max(FEW, MOST_BESIDE * self.counts[self.planes + k, 1])

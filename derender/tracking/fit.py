@@ -13,7 +13,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.render.raycast.canvas import FACE_BITS, NOTHING
-from derender.render.raycast.normal_equations import MOTION, compare_rows, cost, normal_equations
+from derender.render.raycast.normal_equations import LIMIT, MOTION, compare_rows, cost, normal_equations
 from derender.sampling.descent import damped_step, solve_positive
 
 RIGID = 6  # coordinates of a rigid motion
@@ -25,6 +25,7 @@ MOST_DAMPING = 1e5
 # where it runs along a row: a dozen count as two.
 EDGE = 1.0
 BEYOND = 3  # pixels: a step takes the two beside it, and blur or a slanted outline one more
+HIDES = 3.0  # standard deviations: what reaches in is nearer than what it hides by more than noise
 FAR_OFF = 3.5  # standard deviations: of normal noise one pixel in two thousand
 
 
@@ -214,23 +215,36 @@ def fit(misfit, poses, sizes, members, frame, expected, grown, usual, ties, info
 
 
 @njit(cache=True, nogil=True)
+def hides(off, floor, usual):
+    """Whether a pixel that is `off` standard deviations from what is drawn shows what reaches in before that.
+
+    floor : the pixel's exp(-limit). usual : that of a pixel where nothing reaches in.
+    """
+    return off < -HIDES and floor > usual
+
+
+@njit(cache=True, nogil=True)
 def pixels_of(misfit, counts, limit):
     """Write of each solid (N, 4): pixels that show it, those of them with a return, those off by more than `limit`
-    standard deviations nearer to the camera, and those farther from it."""
+    standard deviations nearer to the camera, and those farther from it. Pixels that show what reaches in before it are
+    none of these."""
     counts[:] = 0.0
     code = misfit.canvas.code
     height, width = code.shape
+    usual = math.exp(-misfit.numbers[LIMIT])
     for row in range(height):
         for column in range(width):
             here = code[row, column]
             if here == NOTHING:
                 continue
             k = here >> FACE_BITS
-            counts[k, 0] += 1.0
             precision = misfit.precision[row, column]
+            off = (misfit.observed[row, column] - misfit.blurred[row, column]) * math.sqrt(precision)
+            if hides(off, misfit.floor[row, column], usual):
+                continue
+            counts[k, 0] += 1.0
             if precision > 0.0:
                 counts[k, 1] += 1.0
-                off = (misfit.observed[row, column] - misfit.blurred[row, column]) * math.sqrt(precision)
                 if off < -limit:
                     counts[k, 2] += 1.0
                 elif off > limit:
@@ -242,14 +256,15 @@ def cost_about(misfit, k, margin):
     """Return (cost, pixels with a return, those of them that are off) of solid k's rectangle and `margin` pixels about
     it."""
     height, width = misfit.observed.shape
-    limit, rectangle = misfit.numbers[1], misfit.canvas.rectangle[k]
-    floor = math.exp(-limit)
-    total, count, off = 0.0, 0.0, 0.0
+    rectangle = misfit.canvas.rectangle[k]
+    total, count, off, usual = 0.0, 0.0, 0.0, math.exp(-misfit.numbers[LIMIT])
     for row in range(max(rectangle[2] - margin, 0), min(rectangle[3] + margin, height)):
         for column in range(max(rectangle[0] - margin, 0), min(rectangle[1] + margin, width)):
             precision = misfit.precision[row, column]
             if precision > 0.0:
-                r = misfit.blurred[row, column] - misfit.observed[row, column]
+                r, floor = misfit.blurred[row, column] - misfit.observed[row, column], misfit.floor[row, column]
+                if hides(-r * math.sqrt(precision), floor, usual):
+                    continue
                 total -= math.log((math.exp(-min(0.5 * precision * r * r, 700.0)) + floor) / (1.0 + floor))
                 count += 1.0
                 if precision * r * r > FAR_OFF * FAR_OFF:

@@ -144,9 +144,9 @@ class Blob(NamedTuple):
 
 
 def blobs_of(tracker: "Tracker") -> list[Blob]:
-    """Return what nothing explains in the tracker's present frame, the largest first."""
+    """Return what nothing explains in the tracker's present frame, the largest first; a hand is none of it."""
     observed = tracker.observed
-    near = (observed > 0) & (tracker.misfit.blurred - observed > OFF * tracker.spread + AT_LEAST)
+    near = (observed > 0) & ~tracker.hand & (tracker.misfit.blurred - observed > OFF * tracker.spread + AT_LEAST)
     if int(near.sum()) < SMALLEST:
         return []
     marks, count = labelled(least(greatest(near, 1), 1))

@@ -290,7 +290,9 @@ class Smoother:
                 thing.pose = pose.copy()
         tracker.place()
         tracker.see(self.frames[frame])
-        return float(cost(tracker.misfit, tracker.poses, tracker.sizes))
+        cost(tracker.misfit, tracker.poses, tracker.sizes)
+        tracker.take_hand()
+        return tracker.cost_without_hand()
 
     def _fit(self, t: int, k: int, grows: bool) -> Fit:
         """Fit thing k to frame t, which is drawn, from its place there and from the likeliest of those beside it; leave

@@ -22,6 +22,7 @@ from derender.tracking.path import BAND, CAMERA_CHANGES, CAMERA_SPEED, change_be
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
 
 WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
+RAISED = 0.5  # share of a thing's pixels: so many a little nearer, a hand may have taken it; so many are then seen
 WOKEN = (0.0010, 0.012)  # metres and radians from where it rested from which on it moves
 QUIET = (0.0008, 0.010)  # metres and radians between frames below which a moving thing is quiet
 QUIET_DEVIATIONS = 3.0  # of its pose, within which it may besides jitter from frame to frame
@@ -276,13 +277,14 @@ class Tracker(Drawing):
 
     def _wake(self, k: int) -> None:
         """Test whether a resting thing moves; if so, follow it."""
-        if self._gain(k) < WAKE and not self.unexplained(k):
+        taken = self.raised(k) > RAISED
+        if self._gain(k) < WAKE and not self.unexplained(k) and not taken:
             return
         thing, index = self.things[k], self.planes + k
         fitting.pixels_of(self.misfit, self.counts, OFF)
-        if self.counts[index, 1] < FEW:
+        if self.counts[index, 1] < FEW and not taken:
             return
-        before, kept = thing.pose.copy(), self.poses[index].copy()
+        before, kept, rested = thing.pose.copy(), self.poses[index].copy(), self.price(k)
         curvature = self._tried(k, thing.pose, thing.pose, self._information(thing))[1][2]
         if self.unexplained(k):
             curvature = self._search(k, thing.pose, self._information(thing), curvature)
@@ -290,7 +292,8 @@ class Tracker(Drawing):
                 self.take_as_usual(k, MORE_THAN_BEFORE)
         now = inverse(self.view) @ self.poses[index]
         shift, turn = np.linalg.norm(now[:3, 3] - before[:3, 3]), np.linalg.norm(rotation_between(before, now))
-        if (shift < WOKEN[0] and turn < WOKEN[1]) or self.wrong_share(k) > thing.usual_misfit + 2 * WRONG:
+        stays = (shift < WOKEN[0] and turn < WOKEN[1]) or self.price(k) > rested or (taken and self.shown(k) < RAISED)
+        if stays or self.wrong_share(k) > thing.usual_misfit + 2 * WRONG:
             self._put(k, (kept, thing.size))
             return
         self._take(k, curvature)
@@ -418,6 +421,7 @@ class Tracker(Drawing):
         moving = [k for k, thing in enumerate(self.things) if thing.state in (MOVING, HIDDEN) and thing.here]
         for k in moving:
             self.draw(k, self._expected(self.things[k]))
+        self.take_hand()
         for k in sorted(moving, key=lambda k: self.poses[self.planes + k, 2, 3]):
             self._follow(k)
         cost(self.misfit, self.poses, self.sizes)
@@ -463,10 +467,10 @@ class Tracker(Drawing):
                 covariances[k] = self.turned(thing.covariance[:6, :6])
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
-        total = float(cost(self.misfit, self.poses, self.sizes)) + self.price_of_motion * self.start.temper
+        total = self.cost_without_hand() + self.price_of_motion * self.start.temper
         return Seen(
             poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), np.zeros((BAND, 0)),
-            self.rounds, blobs, total, int(np.count_nonzero(self.observed)),
+            self.rounds, blobs, total, int(np.count_nonzero((self.observed > 0) & ~self.hand)),
         )  # fmt: skip
 
     def add(self, thing: Thing, depth: np.ndarray) -> None:
@@ -475,6 +479,7 @@ class Tracker(Drawing):
         self.allocate(depth)
         self.see(depth)
         cost(self.misfit, self.poses, self.sizes)
+        self.take_hand()
         self.take_as_usual(len(self.things) - 1)
 
 

@@ -181,6 +181,39 @@ def test_what_is_hidden_is_said_to_be_and_comes_back_under_its_name():
     assert track.names == ["box_1", "box_2"]
 
 
+def hand_film(seed, reach, box):
+    """Return (frames, poses) of a box beside another, and of a hand of spheres; reach : (T,) metres that it has come in
+    from the left; box : (T,) poses of the first box on the floor."""
+    sizes, row = [[0.06, 0.07, 0.08], [0.08, 0.06, 0.05]], np.arange(40)
+    finger, thick = 0.02 * row, 0.05 + 0.02 * np.sin(row)  # as no solid is
+    arm = [[at(x - 0.78 + f, 0.02 * np.sin(9 * f), 0.125 + 0.1 * (0.78 - f)) for f in finger] for x in reach]
+    paths = [[first, at(0.14, 0.05, 0.025), *spheres] for first, spheres in zip(box, arm, strict=True)]
+    kinds = ["box", "box", *["sphere"] * len(row)]
+    frames, poses = film(np.random.default_rng(seed), kinds, [*sizes, *([d] * 3 for d in thick)], paths)
+    return frames, poses[:, :2], start(["box", "box"], sizes, poses[0, :2])
+
+
+def test_what_a_hand_hides_has_not_moved():
+    """A hand over a resting box was that box, lifted, and boxes that had come in."""
+    reach = np.interp(np.arange(24), [0, 2, 9, 14, 21, 24], [-0.6, -0.6, 0.06, 0.06, -0.6, -0.6])
+    frames, poses, beginning = hand_film(5, reach, [at(0, 0, 0.04)] * 24)
+    looked = []
+    track = follow(frames, beginning, infer=looked.append).track()
+    assert not looked and events_of(track) == []
+    assert errors(track, poses).max() < 0.002
+
+
+def test_what_a_hand_takes_is_followed_in_it():
+    """The box rises with the hand, and is put down by it elsewhere."""
+    times = np.arange(34)
+    reach = np.interp(times, [0, 2, 9, 11, 22, 24, 31], [-0.6, -0.6, -0.02, -0.02, -0.02, -0.02, -0.6])
+    up = np.interp(times, [11, 16, 19, 24], [0.0, 0.05, 0.05, 0.0])
+    frames, poses, beginning = hand_film(6, reach, [at(0, -0.06 * u / 0.05, 0.04 + u) for u in up])
+    track = follow(frames, beginning).track()
+    assert [e["event"] for e in events_of(track) if e["event"] not in ("moves", "rests")] == ["lifted", "placed"]
+    assert errors(track, poses).max() < 0.01
+
+
 def test_what_falls_behind_something_is_expected_on_the_floor():
     """It was expected to go straight on for three frames, and to stay 8 cm below the floor, where that led."""
     large, small = [0.14, 0.04, 0.18], [0.06, 0.05, 0.06]
@@ -216,7 +249,8 @@ def test_what_enters_is_seen_up_to_the_images_border():
     drawn, observed = np.full((CAMERA.height, CAMERA.width), 0.8), np.full((CAMERA.height, CAMERA.width), 0.8)
     observed[10:20, :6] = 0.6
     observed[15, 3] = 0.0
-    seen = SimpleNamespace(observed=observed, spread=0.002, camera=CAMERA, misfit=SimpleNamespace(blurred=drawn))
+    seen = SimpleNamespace(observed=observed, spread=0.002, camera=CAMERA, misfit=SimpleNamespace(blurred=drawn),
+                           hand=np.zeros(drawn.shape, bool))  # fmt: skip
     (blob,) = blobs_of(seen)
     assert blob.pixels == 59 and blob.mask[:, 0].sum() == 10
 

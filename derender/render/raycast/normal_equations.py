@@ -245,6 +245,7 @@ class Misfit(NamedTuple):
     observed: np.ndarray  # (H, W) float64 metres, any number where missing
     precision: np.ndarray  # (H, W) float64, 1 / sigma^2, 0 where missing
     numbers: np.ndarray  # (2,) float64, the background depth and the limit of the robust cost (infinite: normal)
+    floor: np.ndarray  # (H, W) float64, exp(-limit), where some pixels have a limit of their own: as an outlier has it
     taps: np.ndarray  # (R + 1,) float64, of the blur
     window: np.ndarray  # (4,) int64, all pixels
     row_costs: np.ndarray  # (H,) float64, of each row
@@ -282,6 +283,7 @@ def new_misfit(
         observed=np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64),
         precision=np.ascontiguousarray(precision),
         numbers=np.array([background, limit], np.float64),
+        floor=np.full((height, width), math.exp(-limit)),
         taps=np.ascontiguousarray(taps, np.float64),
         window=window,
         row_costs=np.zeros(height),
@@ -328,11 +330,10 @@ def cost(misfit, poses, sizes):
 def compare_rows(misfit, top, bottom):
     """Compare the rows from `top` to `bottom` of the blurred image with the observed one: costs, weights, residuals."""
     width = misfit.observed.shape[1]
-    limit = misfit.numbers[LIMIT]
-    floor = math.exp(-limit)
+    normal = math.isinf(misfit.numbers[LIMIT])
     for row in range(top, bottom):
         total = 0.0
-        if math.isinf(limit):
+        if normal:
             for column in range(width):
                 r = misfit.blurred[row, column] - misfit.observed[row, column]
                 weight = misfit.precision[row, column]
@@ -342,7 +343,7 @@ def compare_rows(misfit, top, bottom):
         else:
             for column in range(width):
                 r = misfit.blurred[row, column] - misfit.observed[row, column]
-                weight = misfit.precision[row, column]
+                weight, floor = misfit.precision[row, column], misfit.floor[row, column]
                 inlier = math.exp(-min(0.5 * weight * r * r, 700.0))
                 total += math.log((1.0 + floor) / (inlier + floor))
                 weight *= inlier / (inlier + floor)
