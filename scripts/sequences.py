@@ -1,5 +1,8 @@
 """Make films of moving solids with known truth: slide, slope, bounce, collide, topple, place, push.
 
+Beside these there are films of what a hand does that is in the image: cover (it comes over what rests, and leaves
+again), pick (it takes a thing and places it elsewhere) and shove (it pushes one).
+
     python scripts/sequences.py DIR                       one of each kind: DIR/slide_000/ and so on
     python scripts/sequences.py DIR bounce topple -n 5    five of each of two kinds
 
@@ -23,11 +26,14 @@ from arguments import at_least_one
 from derender.atomic import make_folder
 from derender.camera.sensor import SENSORS, find_sensor
 from derender.cli import status_of
-from worlds.films import GRAVITY, without_hops
+from worlds.films import GRAVITY, hand_of, without_hops
 from worlds.made_scenes import camera_of, look_at
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
+HANDS = ("cover", "pick", "shove")
 FRAMES, SIZE = 24, (160, 120)
+HAND_FRAMES = 60  # of a film of a hand: it takes half a second to come and to go
+AWAY = 0.7  # metres from the thing at which a hand begins and ends
 STEP = 0.00025  # seconds
 DENSITY = 500.0  # kg / m^3
 CONTACT_TIME = 0.002  # seconds, of a contact's spring: an impact is over within a few
@@ -51,13 +57,15 @@ class Film:
     friction : of every pair. tilt : radians between the floor's normal and up, about the world's y axis.
     hand : None, or a function of (seconds) that returns (index, pose (4, 4), pushing) of what an unseen hand holds or
         of the unseen pusher, or None.
+    arm : None, or a function of (seconds) that returns the spheres (K, 4) of a hand that is seen, in the world.
+    frames : how many the film has.
     """
 
-    def __init__(self, items, friction, tilt=0.0, hand=None, pusher=None) -> None:
+    def __init__(self, items, friction, tilt=0.0, hand=None, pusher=None, arm=None, frames=FRAMES) -> None:
         import mujoco
 
         self.mujoco, self.items, self.hand, self.pusher = mujoco, items, hand, pusher
-        self.friction = friction
+        self.friction, self.arm, self.frames = friction, arm, frames
         self.down = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
         bodies, pairs = "", ""
         for k, item in enumerate(items):
@@ -123,7 +131,7 @@ class Film:
         steps = round(1.0 / fps / STEP)
         held, heights = None, []
         poses, velocities, touched, load = [], [], [], []
-        for step in range(-round(LEAD / STEP), FRAMES * steps):
+        for step in range(-round(LEAD / STEP), self.frames * steps):
             if step >= 0 and step % steps == 0:
                 poses.append(self.poses())
                 velocities.append(self.data.qvel[: 6 * len(self.items)].reshape(-1, 6).copy())
@@ -148,7 +156,7 @@ class Film:
             load.append(lift)
         self.restitution = restitution_of(np.array(heights))
         parents, touched = [], without_hops(np.array(touched), STEP)
-        for frame in range(FRAMES):
+        for frame in range(self.frames):
             window = slice(max(frame * steps - steps // 2, 0), frame * steps + steps // 2)
             share, mean = np.mean(touched[window], axis=0), np.mean(load[window], axis=0)
             row = []
@@ -302,18 +310,78 @@ def script(rng, kind, fps):
     return Film([mover, *others], friction, hand=pushing, pusher=radius), {"friction": friction}
 
 
+def hand_script(rng, kind, fps):
+    """Return the Film of a seen hand that covers, picks or shoves (kind) the first thing; fps : frames a second.
+
+    The hand is spheres. A thing that is picked is held by it as place's is; one that is shoved is pushed by a sphere
+    between the fingertips that is itself not seen.
+    """
+    seconds, friction = HAND_FRAMES / fps, rng.uniform(0.2, 0.6)
+    heading = rng.uniform(0, 2 * np.pi)
+    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
+    aside = np.array([-ahead[1], ahead[0], 0.0])
+    dip = np.radians(rng.uniform(25, 60))
+    along = np.cos(dip) * ahead - [0.0, 0.0, np.sin(dip)]  # from the wrist to the fingertips
+    axes = np.stack([along, aside, np.cross(along, aside)], axis=1)
+    mover = block(
+        rng, 0.0, 0.0, 0.05, 0.09, kind=str(rng.choice(["box", "box", "cylinder"])) if kind != "shove" else "box"
+    )
+    mover["pose"][:3, :3] = turned(heading, np.zeros(3))[:3, :3]
+    size = mover["size"]
+    others = [block(rng, *(side * aside * rng.uniform(0.14, 0.2))[:2]) for side in (-1, 1)[: int(rng.integers(1, 3))]]
+    items, hand, pusher = [mover, *others], None, None
+    begin, end = seconds * rng.uniform(0.25, 0.35), seconds * rng.uniform(0.6, 0.7)
+    share = lambda time: np.clip((time - begin) / (end - begin), 0.0, 1.0)  # noqa: E731
+    if kind == "cover":
+        spheres = hand_of(rng, rng.uniform(0.02, 0.05))
+        ends = [rng.uniform(-1, 1) * 0.12 * aside + [0, 0, size[2] + rng.uniform(0.025, 0.07)] for _ in range(2)]
+        place = lambda time: ends[0] + smooth(share(time)) * (ends[1] - ends[0])  # noqa: E731
+    elif kind == "pick":
+        spheres = hand_of(rng, size[1])
+        goal = -ahead * rng.uniform(0.0, 0.15) + aside * rng.choice([-1, 1]) * rng.uniform(0.0, 0.05)
+        support = 0.0
+        if rng.random() < 0.5:
+            goal, support = others[0]["pose"][:3, 3] * [1, 1, 0], others[0]["size"][2]
+        high = support + rng.uniform(0.03, 0.08)
+
+        def held(time):
+            part, pose = share(time), mover["pose"].copy()
+            pose[:3, 3] += smooth((part - 0.2) / 0.55) * goal
+            pose[2, 3] += smooth(part / 0.35) * high + smooth((part - 0.65) / 0.35) * (support + 5e-4 - high)
+            return pose
+
+        hand = lambda time: (0, held(time), False) if begin <= time < end else None  # noqa: E731
+        place = lambda time: held(time)[:3, 3] + [0, 0, 0.2 * size[2]]  # noqa: E731
+    else:
+        spheres, pusher = hand_of(rng, 0.015), 0.012
+        reach = np.linalg.norm(size[:2]) / 2 + pusher + 0.02
+        middle = mover["pose"][:3, 3] * [1, 1, 0.8]
+        way = rng.uniform(0.06, 0.14) + 0.02
+        place = lambda time: middle + ahead * (smooth(share(time)) * way - reach)  # noqa: E731
+
+        def hand(time):
+            pose = np.eye(4)
+            pose[:3, 3] = place(time)
+            return (-1, pose, True) if begin <= time < end else None
+
+    def arm(time):
+        out = AWAY * (1 - smooth(time / begin) if time < begin else smooth((time - end) / (seconds - end)))
+        centres = spheres[:, :3] @ axes.T + place(time) - out * along
+        return np.column_stack([centres, spheres[:, 3]])
+
+    return Film(items, friction, hand=hand, pusher=pusher, arm=arm, frames=HAND_FRAMES)
+
+
 def make_sequence(rng, kind, sensor="kinect", motion=0.0, size=SIZE, fps=None):
     """Return (frames (T, H, W) float32, camera dict with fps and gravity, truth dict) of one sequence.
 
     sensor : a name of derender.camera.sensor, or "plain": 1 mm of white noise. motion : metres that the camera goes
     round the scene in a second. size : (width, height) in pixels. fps : frames a second; None: as the kind has it.
     """
-    from worlds.made_scenes import render_floor_scene
-
     while True:
         usual = float(rng.choice([24.0, 30.0, 30.0, 60.0] if kind in ("collide", "bounce", "topple") else [24.0, 30.0]))
         rate = fps or usual
-        film, parameters = script(rng, kind, rate)
+        film, parameters = (hand_script(rng, kind, rate), {}) if kind in HANDS else script(rng, kind, rate)
         poses, parents, velocities = film.run(rate)
         if "restitution" in parameters:
             parameters["restitution"] = film.restitution
@@ -321,18 +389,13 @@ def make_sequence(rng, kind, sensor="kinect", motion=0.0, size=SIZE, fps=None):
         distance, elevation = rng.uniform(0.65, 0.95), np.radians(rng.uniform(22, 50))
         view = look_at(rng, distance, elevation, middle)
         camera = camera_of(*size)
-        views = [swung(view, middle, motion * t / rate / distance) for t in range(FRAMES)]
-        seen = [
-            render_floor_scene(
-                [item["type"] for item in film.items], w @ p, [item["size"] for item in film.items], w, camera
-            )
-            for w, p in zip(views, poses, strict=True)
-        ]
+        views = [swung(view, middle, motion * t / rate / distance) for t in range(film.frames)]
+        seen = [photographed(film, w, p, t / rate, camera) for t, (w, p) in enumerate(zip(views, poses, strict=True))]
         pixels = np.array([[int((label == k).sum()) for k in range(len(film.items))] for _, label in seen])
         if (
             np.isfinite([*poses.ravel(), parameters.get("restitution", 0.0)]).all()
             and pixels[0].min() >= 100
-            and pixels.min() >= 1
+            and (pixels.min() >= 1 or film.arm is not None)
         ):
             break
     model = find_sensor(sensor) if sensor != "plain" else None
@@ -367,6 +430,24 @@ def make_sequence(rng, kind, sensor="kinect", motion=0.0, size=SIZE, fps=None):
     return frames, {**camera.to_dict(), "fps": rate, "gravity": gravity}, truth
 
 
+def photographed(film, view, poses, time, camera):
+    """Return depth and label (H, W) of a film's things, and of the hand that is seen, at a time."""
+    from worlds.made_scenes import render_floor_scene
+
+    kinds, sizes = [item["type"] for item in film.items], [item["size"] for item in film.items]
+    posed = view @ poses
+    if film.arm is not None:
+        spheres = film.arm(time)
+        there = np.tile(np.eye(4), (len(spheres), 1, 1))
+        there[:, :3, 3] = spheres[:, :3]
+        posed = np.concatenate([posed, view @ there])
+        kinds, sizes = (
+            kinds + ["sphere"] * len(spheres),
+            [*sizes, *(np.full(3, 2 * radius) for radius in spheres[:, 3])],
+        )
+    return render_floor_scene(kinds, posed, sizes, view, camera)
+
+
 def named(kinds):
     """Return box_1, box_2, sphere_1, ...: a name for each of these kinds."""
     return [f"{kind}_{kinds[: k + 1].count(kind)}" for k, kind in enumerate(kinds)]
@@ -391,17 +472,17 @@ def write_sequence(folder, frames, camera, truth):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder")
-    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS)}; default: all")
+    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS + HANDS)}; default: all without a hand")
     parser.add_argument("-n", type=at_least_one, default=1, help="sequences of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first one (its seed)")
     parser.add_argument("--sensor", default="kinect", choices=[*SENSORS, "plain"])
     parser.add_argument("--motion", type=float, default=0.0, help="metres a second that the camera moves")
     arguments = parser.parse_args()
     for kind in arguments.kinds or KINDS:
-        if kind not in KINDS:
+        if kind not in KINDS + HANDS:
             parser.error(f"no such kind: {kind}")
         for k in range(arguments.first, arguments.first + arguments.n):
-            rng = np.random.default_rng([k, KINDS.index(kind)])
+            rng = np.random.default_rng([k, (KINDS + HANDS).index(kind)])
             made = make_sequence(rng, kind, arguments.sensor, arguments.motion)
             write_sequence(Path(arguments.folder) / f"{kind}_{k:03d}", *made)
 
