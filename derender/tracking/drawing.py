@@ -8,7 +8,7 @@ from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
-from derender.tracking.reaching import PRICE, reaching
+from derender.tracking.reaching import PRICE, nearer, reaching
 from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
@@ -34,8 +34,9 @@ class Drawing:
     camera : Camera. start : thing.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
     kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
     misfit : Misfit. clean : (H, W) metres, 0 where nothing returned; observed : the same, 0 where the backdrop is, too;
-    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth. hand : (H, W) bool, what reaches
-    in from the border. backdrop : (H, W) depth of what lies behind and is no floor.
+    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth. left_out : (H, W) metres, what it
+    shows before what is drawn, inf elsewhere. hand : (H, W) bool, what reaches in from the border. backdrop : (H, W)
+    depth of what lies behind and is no floor.
     rounds : sets of normal equations so far.
     """
 
@@ -48,6 +49,7 @@ class Drawing:
         self.allocate(depth)
         self.see(depth)
         cost(self.misfit, self.poses, self.sizes)
+        self.left_out = np.where(self.returned & nearer(self, self.misfit.blurred), self.observed, np.inf)
 
     def allocate(self, depth: np.ndarray) -> None:
         """Make arrays for the things there are, and draw them."""

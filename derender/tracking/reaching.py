@@ -24,14 +24,19 @@ OUTLINE = 3  # pixels about it that may show it too: where it touches something 
 AT_BORDER = 3  # pixels at the border: more than noise and a thing's corner
 
 
+def nearer(drawing: "Drawing", depth: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: where the present frame is clearly nearer than a depth (H, W) in metres."""
+    observed = drawing.observed
+    return (observed > 0) & (depth - observed > OFF * drawing.noise(observed) + AT_LEAST)
+
+
 def reaching(drawing: "Drawing") -> np.ndarray:
-    """Return (H, W) bool: what is nearer than all that is drawn and hangs together with the image's border, and OUTLINE
-    about it.
+    """Return (H, W) bool: what is nearer than all that is drawn, and than what the first frame shows before that, and
+    hangs together with the image's border, and OUTLINE about it.
 
     Where nothing returns now, and something did in the first frame, it may be nearer than the sensor sees.
     """
-    observed = drawing.observed
-    near = (observed > 0) & (drawing.misfit.blurred - observed > OFF * drawing.noise(observed) + AT_LEAST)
+    near = nearer(drawing, np.minimum(drawing.misfit.blurred, drawing.left_out))
     if int(near.sum()) < SMALLEST:
         return np.zeros(near.shape, bool)
     dark = (drawing.clean == 0) & drawing.returned

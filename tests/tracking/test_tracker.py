@@ -12,6 +12,7 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, rotation_angle
 from derender.scene.solids import BOX, Solids
 from derender.tracking import fit
+from derender.tracking.drawing import Drawing
 from derender.tracking.events import events_of
 from derender.tracking.hidden import Hidden, blobs_of, carried
 from derender.tracking.passes import Passes
@@ -212,6 +213,17 @@ def test_what_a_hand_takes_is_followed_in_it():
     track = follow(frames, beginning).track()
     assert [e["event"] for e in events_of(track) if e["event"] not in ("moves", "rests")] == ["lifted", "placed"]
     assert errors(track, poses).max() < 0.01
+
+
+def test_what_was_at_the_border_from_the_start_is_no_hand():
+    """What a search had missed there was one in every frame, and made what stood beside it unsure."""
+    frames, _, beginning = hand_film(5, [-0.25, -0.25, 0.06], [at(0, 0, 0.04)] * 3)
+    drawing, hands = Drawing(CAMERA, beginning, frames[0], moving_camera=False), []
+    for frame in frames:
+        drawing.see(frame)
+        drawing.take_hand()
+        hands.append(int(drawing.hand.sum()))
+    assert hands[:2] == [0, 0] and hands[2] > 60
 
 
 def test_what_falls_behind_something_is_expected_on_the_floor():
