@@ -472,13 +472,13 @@ def write_sequence(folder, frames, camera, truth):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder")
-    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS + HANDS)}; default: all without a hand")
+    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS + HANDS)}; default: all")
     parser.add_argument("-n", type=at_least_one, default=1, help="sequences of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first one (its seed)")
     parser.add_argument("--sensor", default="kinect", choices=[*SENSORS, "plain"])
     parser.add_argument("--motion", type=float, default=0.0, help="metres a second that the camera moves")
     arguments = parser.parse_args()
-    for kind in arguments.kinds or KINDS:
+    for kind in arguments.kinds or KINDS + HANDS:
         if kind not in KINDS + HANDS:
             parser.error(f"no such kind: {kind}")
         for k in range(arguments.first, arguments.first + arguments.n):
