@@ -1,7 +1,7 @@
 """Make films of moving solids with known truth: slide, slope, bounce, collide, topple, place, push.
 
-Beside these there are films of what a hand does that is in the image: cover (it comes over what rests, and leaves
-again), pick (it takes a thing and places it elsewhere) and shove (it pushes one).
+Three kinds more show a hand: cover (it comes over what rests, and leaves again), pick (it takes a thing and places it
+elsewhere) and shove (it pushes one).
 
     python scripts/sequences.py DIR                       one of each kind: DIR/slide_000/ and so on
     python scripts/sequences.py DIR bounce topple -n 5    five of each of two kinds
@@ -31,6 +31,7 @@ from worlds.made_scenes import camera_of, look_at
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
 HANDS = ("cover", "pick", "shove")
+FILMS = KINDS + HANDS  # its place among these is part of a film's seed
 FRAMES, SIZE = 24, (160, 120)
 HAND_FRAMES = 60  # of a film of a hand: it takes half a second to come and to go
 AWAY = 0.7  # metres from the thing at which a hand begins and ends
@@ -472,17 +473,17 @@ def write_sequence(folder, frames, camera, truth):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder")
-    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS + HANDS)}; default: all")
+    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(FILMS)}; default: all")
     parser.add_argument("-n", type=at_least_one, default=1, help="sequences of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first one (its seed)")
     parser.add_argument("--sensor", default="kinect", choices=[*SENSORS, "plain"])
     parser.add_argument("--motion", type=float, default=0.0, help="metres a second that the camera moves")
     arguments = parser.parse_args()
-    for kind in arguments.kinds or KINDS + HANDS:
-        if kind not in KINDS + HANDS:
+    for kind in arguments.kinds or FILMS:
+        if kind not in FILMS:
             parser.error(f"no such kind: {kind}")
         for k in range(arguments.first, arguments.first + arguments.n):
-            rng = np.random.default_rng([k, (KINDS + HANDS).index(kind)])
+            rng = np.random.default_rng([k, FILMS.index(kind)])
             made = make_sequence(rng, kind, arguments.sensor, arguments.motion)
             write_sequence(Path(arguments.folder) / f"{kind}_{k:03d}", *made)
 

@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 from arguments import names_in
-from sequences import HANDS, KINDS, make_sequence
+from sequences import FILMS, make_sequence
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.normal_equations import cost
@@ -173,10 +173,10 @@ def evaluate_tracking(count, first, sensor, kinds, verbose, motion, size, fps):
         "| kind | films | lost | error 95 %, mm | switched | F1 of contacts | true poses | coverage 90 % | ms a frame |"
     )
     print("|---" * 9 + "|")
-    for kind in names_in(kinds, KINDS + HANDS, "kind of film"):
+    for kind in names_in(kinds, FILMS, "kind of film"):
         all_rows, milliseconds = [], []
         for k in range(first, first + count):
-            rng = np.random.default_rng([k, (KINDS + HANDS).index(kind)])
+            rng = np.random.default_rng([k, FILMS.index(kind)])
             frames, camera, truth = make_sequence(rng, kind, sensor, motion, size, fps)
             track, seconds, spent, full, moving = follow(frames, camera, k, motion > 0)
             all_rows.append(compare(track, truth))

@@ -8,7 +8,7 @@ from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
-from derender.tracking.reaching import PRICE, nearer, reaching
+from derender.tracking.reaching import PRICE, bare_noise, nearer, reaching
 from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
@@ -49,7 +49,9 @@ class Drawing:
         self.allocate(depth)
         self.see(depth)
         cost(self.misfit, self.poses, self.sizes)
-        self.left_out = np.where(self.returned & nearer(self, self.misfit.blurred), self.observed, np.inf)
+        self.left_out = np.where(
+            self.returned & nearer(self, self.misfit.blurred, bare_noise(self)), self.observed, np.inf
+        )
 
     def allocate(self, depth: np.ndarray) -> None:
         """Make arrays for the things there are, and draw them."""
@@ -84,25 +86,20 @@ class Drawing:
         self.observed = clean
         fitting.look(self.misfit, clean, spread)
 
-    def noise(self, depth: np.ndarray) -> np.ndarray:
-        """Return the standard deviation (H, W) of the sensor's noise at depths (H, W), metres."""
-        return np.maximum(self.start.sigma + self.start.growth * depth**2, LEAST_NOISE)
-
     def take_hand(self) -> None:
         """Find the hand in the present frame by what is drawn; its pixels tell less from now on."""
         self.hand = reaching(self)
         if self.hand.any():
             self.misfit.floor[self.hand] = np.exp(-PRICE)
             fitting.look(self.misfit, self.observed, self.spread)
-            cost(self.misfit, self.poses, self.sizes)
 
     def cost_without_hand(self) -> float:
         """Return the cost of the image but for the pixels that may show a hand."""
+        if not self.hand.any():
+            return float(cost(self.misfit, self.poses, self.sizes))
+        fitting.look(self.misfit, np.where(self.hand, 0.0, self.observed), self.spread)
         total = float(cost(self.misfit, self.poses, self.sizes))
-        if self.hand.any():
-            off = (self.misfit.blurred - self.observed)[self.hand] ** 2 * self.misfit.precision[self.hand]
-            floor = np.exp(-PRICE)
-            total -= float(np.log((1 + floor) / (np.exp(-0.5 * off) + floor)).sum())
+        fitting.look(self.misfit, self.observed, self.spread)
         return total
 
     def owner(self) -> np.ndarray:
@@ -205,8 +202,8 @@ class Drawing:
     def raised(self, k: int) -> float:
         """Return the share of thing k's pixels that show a hand, or the thing in it: nearer by less than LITTLE."""
         mine = self.owner() == self.planes + k
-        nearer = (self.misfit.blurred - self.observed)[mine & self.hand & (self.observed > 0)]
-        return float((nearer < LITTLE).sum() / max(int(mine.sum()), 1))
+        by = (self.misfit.blurred - self.observed)[mine & self.hand & (self.observed > 0)]  # metres
+        return float((by < LITTLE).sum() / max(int(mine.sum()), 1))
 
     def shown(self, k: int) -> float:
         """Return the share of thing k's pixels that no hand hides."""

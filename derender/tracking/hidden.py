@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.camera.windows import greatest, labelled, least
 from derender.posterior.sampler import next_temperature
 from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.pose import moved, rotation_vector
+from derender.tracking.reaching import nearer, patches
 
 if TYPE_CHECKING:
     from derender.tracking.tracker import Tracker
@@ -129,8 +129,6 @@ def one_frame_later(hidden: Hidden, tracker: "Tracker", k: int) -> Hidden:
     return later
 
 
-OFF = 5.0  # standard deviations nearer than what is drawn
-AT_LEAST = 0.008  # metres, and so much besides: contacts and edges are off by less
 SMALLEST = 25  # pixels: smaller patches are noise at edges
 MOST = 3  # blobs that are looked at, the largest first
 
@@ -146,11 +144,10 @@ class Blob(NamedTuple):
 def blobs_of(tracker: "Tracker") -> list[Blob]:
     """Return what nothing explains in the tracker's present frame, the largest first; a hand is none of it."""
     observed = tracker.observed
-    near = (observed > 0) & ~tracker.hand & (tracker.misfit.blurred - observed > OFF * tracker.spread + AT_LEAST)
+    near = nearer(tracker, tracker.misfit.blurred, tracker.spread) & ~tracker.hand
     if int(near.sum()) < SMALLEST:
         return []
-    marks, count = labelled(least(greatest(near, 1), 1))
-    sizes = np.bincount(marks.ravel(), weights=near.ravel(), minlength=count + 1)
+    marks, sizes = patches(near, near)
     found = []
     for number in np.argsort(-sizes[1:])[:MOST] + 1:
         if sizes[number] >= SMALLEST:

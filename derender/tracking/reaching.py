@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from derender.camera.windows import greatest, labelled, least
+from derender.render.likelihoods.pixelwise import noise_at
 
 if TYPE_CHECKING:
     from derender.tracking.drawing import Drawing
@@ -17,17 +18,32 @@ if TYPE_CHECKING:
 # up to drawing.LIMIT at each pixel that shows it still.
 PRICE = 2.0
 # Standard deviations, and metres besides, nearer than what is drawn: more than noise, and than a pose that is a little
-# wrong; a finger is thicker.
+# wrong, at contacts and edges; a finger is thicker.
 OFF, AT_LEAST = 5.0, 0.008
 SMALLEST = 60  # pixels: less is noise, or what enters
 OUTLINE = 3  # pixels about it that may show it too: where it touches something it is hardly nearer
 AT_BORDER = 3  # pixels at the border: more than noise and a thing's corner
 
 
-def nearer(drawing: "Drawing", depth: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: where the present frame is clearly nearer than a depth (H, W) in metres."""
-    observed = drawing.observed
-    return (observed > 0) & (depth - observed > OFF * drawing.noise(observed) + AT_LEAST)
+def nearer(drawing: "Drawing", depth: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: where the present frame is clearly nearer than a depth (H, W). spread : (H, W), both in
+    metres."""
+    return (drawing.observed > 0) & (depth - drawing.observed > OFF * spread + AT_LEAST)
+
+
+def bare_noise(drawing: "Drawing") -> np.ndarray:
+    """Return the standard deviation (H, W) of the present frame's noise in metres, without what `Drawing.spread` has at
+    steps in depth besides: a finger is little else."""
+    return noise_at(drawing.observed, {"sigma": drawing.start.sigma, "sigma_growth": drawing.start.growth})
+
+
+def patches(near: np.ndarray, bridge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return ((H, W) int, the number of the patch that each pixel is in, 0 for none; how many `near` pixels each has).
+
+    near : (H, W) bool. bridge : (H, W) bool, pixels that may join them. Gaps of two pixels are bridged, too.
+    """
+    marks, count = labelled(least(greatest(near | bridge, 1), 1))
+    return marks, np.bincount(marks.ravel(), weights=near.ravel(), minlength=count + 1)
 
 
 def reaching(drawing: "Drawing") -> np.ndarray:
@@ -36,13 +52,12 @@ def reaching(drawing: "Drawing") -> np.ndarray:
 
     Where nothing returns now, and something did in the first frame, it may be nearer than the sensor sees.
     """
-    near = nearer(drawing, np.minimum(drawing.misfit.blurred, drawing.left_out))
+    near = nearer(drawing, np.minimum(drawing.misfit.blurred, drawing.left_out), bare_noise(drawing))
     if int(near.sum()) < SMALLEST:
         return np.zeros(near.shape, bool)
     dark = (drawing.clean == 0) & drawing.returned
-    marks, count = labelled(least(greatest(near | dark, 1), 1))
-    sizes = np.bincount(marks.ravel(), weights=near.ravel(), minlength=count + 1)
+    marks, sizes = patches(near, dark)
     border = np.concatenate([marks[0], marks[-1], marks[:, 0], marks[:, -1]])
-    large = (sizes >= SMALLEST) & (np.bincount(border, minlength=count + 1) >= AT_BORDER)
+    large = (sizes >= SMALLEST) & (np.bincount(border, minlength=len(sizes)) >= AT_BORDER)
     large[0] = False
     return greatest(near & large[marks], OUTLINE)

@@ -245,7 +245,7 @@ class Misfit(NamedTuple):
     observed: np.ndarray  # (H, W) float64 metres, any number where missing
     precision: np.ndarray  # (H, W) float64, 1 / sigma^2, 0 where missing
     numbers: np.ndarray  # (2,) float64, the background depth and the limit of the robust cost (infinite: normal)
-    floor: np.ndarray  # (H, W) float64, exp(-limit), where some pixels have a limit of their own: as an outlier has it
+    floor: np.ndarray  # (H, W) float64, exp(-limit) of each pixel, which a caller may raise
     taps: np.ndarray  # (R + 1,) float64, of the blur
     window: np.ndarray  # (4,) int64, all pixels
     row_costs: np.ndarray  # (H,) float64, of each row
