@@ -55,7 +55,7 @@ SAME = 0.75  # it shows where the thing does: share of the pixels of either that
 LEFT_PIXELS = 25  # that it has at least
 # Of polishing a solid in its place; ways in which a box is turned at first; how many of all are looked at to the end.
 ROUNDS, YAWS, FINISHED = 200, 6, 3
-CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # shares of the pixels on one side of cuts through what may be two
+CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # shares of the pixels on one side of the cuts through what may be two solids
 
 
 def leftovers(
@@ -79,8 +79,8 @@ def leftovers(
     shows = seen.mask & ~left & (image.floor > depth)
     large = np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS)
     for k in with_insides(seen, piece, left, large):
-        whole = piece == k
-        mask = whole & left & (held_out(image, state, -1)[2] > BAD)
+        misfit = held_out(image, state, -1)[2]
+        whole, mask = piece == k, (piece == k) & left & (misfit > BAD)
         if mask.sum() < LEFT_PIXELS:  # solids that were found for others explain it
             continue
         low, high = ends_of(seen.points[mask], ENDS)
@@ -97,17 +97,13 @@ def leftovers(
             if part is None or share_over(seen.points[mask], state.rows[part]) <= BENEATH:
                 continue
         if part is not None:
-            apart = as_solids(rng, seen, state, part, mask, cost, settings)
-            if apart is not None:
-                state = apart
-                continue
-            state, more = joined(seen, state, (part,), mask)
+            two = as_solids(rng, seen, state, part, mask, cost, settings)
+            state, more = joined(seen, state, (part,), mask) if two is None else (two, [])
             found += more
             continue
         if exists:
-            gain = float(held_out(image, state, -1)[2][mask].sum())
             with_it, gained = with_solid(rng, seen, state, mask, settings)
-            cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers(mask))
+            cheaper = gained - float(misfit[mask].sum()) + settings.temper * (LEFT_PRICE + cost.numbers(mask))
             shown = held_out(image, with_it, -1)[1] == len(with_it) - 1
             alike = (shown & mask).sum() > SAME * (shown | mask).sum()
             if cheaper > 0.0 and (alike or gained > settings.temper * LEFT_LEAST):
@@ -165,7 +161,7 @@ def as_solids(rng: np.random.Generator, seen: Observation, state: State, part: i
     fewer = state.without(part)
     _, label, misfit, _ = held_out(seen.image, state, -1)
     whole = mask | ((label == part) & (seen.image.weight > 0) & (misfit < LIMIT))
-    other = seen.mask & ~whole & (misfit > BAD)
+    other = seen.mask & ~whole & (misfit > BAD)  # the two are not to reach for it
     image = seen.image._replace(weight=np.where(other, 0.0, seen.image.weight))
     low = settings._replace(price=settings.temper * LEFT_PRICE)
     climb = Climb(rng, Task(image, low, solids_within(seen, whole, cost, settings)), state)
@@ -181,20 +177,18 @@ def as_solids(rng: np.random.Generator, seen: Observation, state: State, part: i
 
 
 def cut_in_two(climb: Climb, state: State, points: np.ndarray, bottom: float) -> list[State]:
-    """Return the States with two solids more, beside or on each other, that show points (K, 3) on either side of cuts
-    along each axis of their box, the likeliest first. bottom : the height in metres on which the lower one stands."""
-    image, settings, _ = climb.task
+    """Return the States with two solids more, beside or on each other, that show points (K, 3) on either side of a cut
+    across an axis of their box, the likeliest first. bottom : the height in metres on which the lower one stands."""
     turned, tries = points @ rotation_z(smallest_rectangle(points[:, :2]))[:3, :3], []
     for axis, share in product(range(3), CUTS):
         low = turned[:, axis] < np.quantile(turned[:, axis], share)
-        new, height = state, bottom
-        for side in (low, ~low):
-            if side.sum() >= FEWEST:
-                new, (k,) = appear_on(climb.rng, climb.task, new, points[side], height)
-                height = highest(new.rows[k]) if axis == 2 else bottom
-        if len(new) == len(state) + 2:
-            tries.append((total_energy(image, new, settings), len(tries), new))
-    return [each for *_, each in sorted(tries)]
+        if min(low.sum(), (~low).sum()) < FEWEST:
+            continue
+        one, _ = appear_on(climb.rng, climb.task, state, points[low], bottom)
+        upon = highest(one.rows[-1]) if axis == 2 else bottom
+        two, _ = appear_on(climb.rng, climb.task, one, points[~low], upon)
+        tries.append((total_energy(climb.task.image, two, climb.task.settings), len(tries), two))
+    return [two for *_, two in sorted(tries)]
 
 
 def solids_within(seen: Observation, mask: np.ndarray, cost: Cost, settings: Settings) -> list[Solid]:
