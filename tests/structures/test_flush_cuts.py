@@ -117,12 +117,9 @@ def test_a_can_and_the_board_beside_it_may_be_one_box(seed):
 
 
 def test_what_stands_on_two_solids_stands_on_the_box_that_is_both():
-    box, can = (
-        (0, 0, 0, [0.1, 0.08, 0.06]),
-        make_row(CYLINDER, np.eye(3), np.array([0.08, 0.0, 0.05]), np.array([0.06, 0.06, 0.1])),
-    )
-    state = standing(*boxes(box).rows, can)
-    state = on_supports(state.add(boxes((0.08, 0, 0.1, [0.03, 0.03, 0.03])).rows[0], UPRIGHT, False, 1, 0.1))
+    box, cube = boxes((0, 0, 0, [0.1, 0.08, 0.06])).rows[0], boxes((0.08, 0, 0.1, [0.03, 0.03, 0.03])).rows[0]
+    can = make_row(CYLINDER, np.eye(3), np.array([0.08, 0.0, 0.05]), np.array([0.06, 0.06, 0.1]))
+    state = on_supports(standing(box, can).add(cube, UPRIGHT, False, 1, 0.1))
     for way in ways_as_one(state, 0, 1):
         top = highest(way.rows[0])
         assert way.parents == [FLOOR, 0] and way.bottoms[1] == top and int(way.rows[0][0]) == BOX

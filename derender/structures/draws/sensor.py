@@ -45,7 +45,7 @@ NEARLY = 0.1  # share of a scene's depth by which noise may have it off, and har
 
 
 class SensorFields(NamedTuple):
-    """What a Sensor holds."""
+    """What a Sensor holds; a NamedTuple itself can cache no property."""
 
     camera: Camera
     observed: np.ndarray
