@@ -101,11 +101,12 @@ def of_one_solid(
     if height(removed) > height(best) - PRUNE_THRESHOLD:
         others.append(of_block(rng, Block(removed, []), own))
     for trial in likeliest_of_each(found):
-        again, places = climbed_again(rng, trial, i, steps), with_those_on_it(best, trial, i)
+        again, places = climbed_again(rng, trial, [i], steps), with_those_on_it(best, trial, i)
         others.append(of_block(rng, Block(again, places), own if places == [i] else Block(best, places)))
     own = Block(best, [i, *on_it]) if on_it else own
-    others += [of_block(rng, Block(trial, [i, *on_it, *range(len(best.state), len(trial.state))]), own)
-               for trial in likeliest_of_each([trial for trial in several if trial is not None])]  # fmt: skip
+    for trial in likeliest_of_each([trial for trial in several if trial is not None]):
+        places = [i, *on_it, *range(len(best.state), len(trial.state))]
+        others.append(of_block(rng, Block(climbed_again(rng, trial, places, steps), places), own))
     return others
 
 
@@ -187,10 +188,10 @@ def quick_steps(pixels: int) -> int:
     return int(QUICK * np.clip(FEW_PIXELS / max(pixels, 1), 1.0, MOST_PATIENT))
 
 
-def climbed_again(rng: np.random.Generator, trial: Refined, i: int, steps: int) -> Refined:
-    """Return the highest of a Refined and of AGAIN hot climbs of solid `i` from there: one alone may end beside the
-    mode, and what shows in few pixels may lie so or so."""
-    members = members_of(trial.chart, [i])
+def climbed_again(rng: np.random.Generator, trial: Refined, places: list[int], steps: int) -> Refined:
+    """Return the highest of a Refined and of AGAIN hot climbs of some solids from there: one alone may end beside the
+    mode, and what shows in few pixels may lie so or so. steps : of each temperature and solid."""
+    members, steps = members_of(trial.chart, places), steps * len(places)
     climbs = [climb(rng, trial.state, trial.chart, trial.values.copy(), trial.sensor, steps, members)
               for _ in range(AGAIN)]  # fmt: skip
     return highest_seen(trial, climbs)
@@ -210,7 +211,7 @@ def climbed_higher(rng: np.random.Generator, best: Refined) -> Refined:
         higher = highest_seen(best, [again])
         for i, many in enumerate(pixels_of(higher)):
             if many <= FEW_PIXELS:
-                higher = climbed_again(rng, higher, i, quick_steps(int(many)))
+                higher = climbed_again(rng, higher, [i], quick_steps(int(many)))
         if height(higher) < height(best) + WORTHWHILE:
             return higher
         best = with_sensor_refitted(rng, higher)

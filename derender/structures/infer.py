@@ -21,7 +21,7 @@ from derender.results.trust import misleads
 from derender.sampling.diagnostics import summary, unwrap
 from derender.structures.answer import answered, observed_under
 from derender.structures.case import Case, case_of, unit_of_lengths
-from derender.structures.draws.refined import FEW
+from derender.structures.draws.refined import FEW, Refined, refine, view_of
 from derender.structures.options import Options
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ def infer_structure(
         return replace(found, meta={**found.meta, "interrupted": True})
     many, now = (len(each.best_graph().solid_names) for each in (found, other))
     fewer = now <= FEWER * many or (now <= many and things_in(other) < things_in(found))
-    same = lost(found, other) < MOST_LOST and not loses_one(found, other)
+    freer = things_in(other) > things_in(found)  # a free form explains anything
+    same = lost(found, other) < MOST_LOST and not loses_one(found, other) and not freer
     return other if same and (found.meta["spots"] or fewer) else found
 
 
@@ -96,7 +97,7 @@ def found_in(rng: np.random.Generator, case: Case, say: Progress) -> Posterior:
     """Return the Posterior of an image, its noise taken as it comes, or to be shared by neighbours as settings say."""
     pool: list[tuple[State, float]] = []
     looks = searched(rng, case, pool, say)
-    parts, interrupted = weighed(rng, case, looks, pool)
+    parts, interrupted = weighed(rng, case, looks, pool, say)
     parts, observations, extras = completed(rng, case, looks, parts, interrupted)
     say(1.0, f"{len(looks[0].state)} solids")
     return answered(case, looks, parts, observations, extras, interrupted)
@@ -153,8 +154,20 @@ def searched(rng: np.random.Generator, case: Case, pool: list[tuple[State, float
     return looks
 
 
-def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
-            pool: list[tuple[State, float]]) -> "tuple[list[StructurePosterior], bool]":  # fmt: skip
+def searched_again(rng: np.random.Generator, case: Case, seen: Observation, say: Progress) -> "Refined | None":
+    """Return what another search finds, at its mode under the image as it was observed; None: it stands on another
+    floor. seen : the Observation of the first search, with what that took for free-form things."""
+    say(0.7, "searching again: the first search left doubts")
+    state, other = point_estimate(rng, case.depth, case.camera, case.settings, plane=case.plane)
+    if other.interrupted:
+        raise KeyboardInterrupt
+    if other.no_floor or not np.allclose(other.floor.pose, seen.floor.pose):
+        return None
+    return refine(rng, [view_of(seen)], seen.floor.pose, state, case.settings.rules, case.settings.tries)
+
+
+def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]", pool: list[tuple[State, float]],
+            say: Progress) -> "tuple[list[StructurePosterior], bool]":  # fmt: skip
     """Return the structures with their weights and draws, and whether someone interrupted this or the search."""
     from derender.structures.graph_posterior import parts_of
     from derender.structures.together import together_parts
@@ -174,7 +187,8 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
                                    others, *fewest, not only_best and case.options.draws is None)  # fmt: skip
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)
-        return parts_of(rng, seen, state, pool, settings, *case.many, only_best, looks[0].refined)
+        again = partial(searched_again, rng, case, seen, say) if seen.correlation <= CORRELATED else None
+        return parts_of(rng, seen, state, pool, settings, *case.many, only_best, looks[0].refined, again)
 
     interrupted = any(look.seen.interrupted for look in looks)
     try:
