@@ -72,7 +72,9 @@ class Percent(click.ParamType):
 @click.option("--tilt", metavar="10deg[:+x]", help="Lower the floor towards a direction of the root's axes.")
 @click.option("--shake", metavar="2Hz:5mm[:+x]", help="Swing the floor to and fro by twice the length, all the while.")
 @click.option(
-    "--jitter", metavar="2mm,1deg", help="Displace and turn all at random, none into another, in each draw anew."
+    "--jitter",
+    metavar="2mm,1deg",
+    help="Displace and turn all at random in each draw: along contacts, none into another.",
 )
 @click.option("--settle", metavar="FILE.yaml", help="Write the scene as it came to rest, with its new contacts.")
 @click.option("--animate", metavar="FILE.gif", help="Draw the most probable scene as it moves (.gif .webp .mp4 .glb).")

@@ -204,7 +204,8 @@ class Acts(TypedDict, total=False):
 
     push : such as "red:+x:0.5N@0.1s"; remove : names; add : such as "new:box:10x5x5cm@red"; one text or several each.
     tilt : of the floor, "10deg:+x". shake : of the floor, "2Hz:5mm:+x".
-    jitter : "2mm,1deg", standard deviations by which each draw displaces and turns every object.
+    jitter : "2mm,1deg", standard deviations by which each draw displaces and turns every object, what touches along
+        the contact.
     """
 
     push: str | Sequence[str]

@@ -1,11 +1,12 @@
 """What is done to a scene from outside: pushes, shaking, tilting, jitter; and how it is written (`red:+x:0.5N@0.1s`).
 
-Jitter is perceptual noise: where bodies are, as somebody sees them who knows that solids do not enter each other.
+Jitter is perceptual noise: where bodies are, as somebody sees them who knows that solids do not enter each other, and
+which rest on which.
 """
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,42 +17,63 @@ from derender.registry import suggest
 from derender.scene.codec.yaml_tree import parse_number
 from derender.scene.pose import from_axes, from_rotation_vector, moved
 
-TRIES = 10  # of all bodies at once, before they are drawn one by one
+TRIES = 10  # of noise as it comes, before it is walked to
+WALK = 10  # steps of that, after which where it began does not matter
+TURN, LEAST_TURN = 2.0 * np.pi, 1e-6  # radians of a step's ellipse, and those left of it at which a step stays in place
+OPENS = 1e-4  # of the smallest extent, by which the points of a contact may open: a rounding of faces and normals
 LEAST_SIDEWAYS = 1e-3  # of a direction of length 1: less is upright but for rounding
-SWEEPS, TRIES_EACH = 5, 30  # through the bodies, and draws of one of them before it stays where it is
 
 
 def jittered(matter: Matter, spread: tuple[float, float], rng: np.random.Generator) -> Matter:
-    """Return a scene whose moving bodies are displaced and turned by normal noise, given that none enters another.
+    """Return a scene whose moving bodies are displaced and turned by normal noise, given that what touches goes on
+    touching (`slides`) and that none enters another.
 
-    Those that enter each other deep (`deep_overlaps`) as they are given may go on doing so. Where all at once are
-    drawn in vain they are drawn in turn, each given the others (Gibbs sampling), from where they were: a tower of ten
-    meets the condition once in thousands of draws.
+    Those that enter each other deep (`deep_overlaps`) as they are given may go on doing so. Where the noise is drawn in
+    vain it is walked to from none by elliptical slice sampling (Murray, Adams, MacKay 2010).
 
     spread : (metres, radians) of each axis.
     """
-    deviations = np.repeat(spread, 3)
-    allowed = pairs_entered(matter)
+    along, allowed = slides(matter, spread), pairs_entered(matter)
 
-    def noisy(body: Body) -> Body:
-        return body._replace(pose=moved(body.pose, deviations * rng.normal(size=6))) if body.moves else body
-
-    def possible(bodies: list[Body]) -> bool:
-        return pairs_entered(matter._replace(bodies=tuple(bodies))) <= allowed
+    def noisy(noise: Any) -> Matter:
+        changes = (along @ noise).reshape(-1, 6)
+        bodies = [body._replace(pose=moved(body.pose, change)) if body.moves else body
+                  for body, change in zip(matter.bodies, changes, strict=True)]  # fmt: skip
+        return matter._replace(bodies=tuple(bodies))
 
     for _ in range(TRIES):
-        drawn = [noisy(body) for body in matter.bodies]
-        if possible(drawn):
-            return matter._replace(bodies=tuple(drawn))
-    bodies = list(matter.bodies)
-    for _ in range(SWEEPS):
-        for k, seen in enumerate(matter.bodies):
-            for _ in range(TRIES_EACH if seen.moves else 0):
-                drawn = [*bodies[:k], noisy(seen), *bodies[k + 1 :]]
-                if possible(drawn):
-                    bodies = drawn
-                    break
-    return matter._replace(bodies=tuple(bodies))
+        drawn = noisy(rng.normal(size=len(along)))
+        if pairs_entered(drawn) <= allowed:
+            return drawn
+    held, drawn = np.zeros(len(along)), matter
+    for _ in range(WALK):
+        other, angle = rng.normal(size=len(held)), rng.uniform(0.0, TURN)
+        low, high = angle - TURN, angle
+        while high - low > LEAST_TURN:
+            tried = np.cos(angle) * held + np.sin(angle) * other
+            if pairs_entered(found := noisy(tried)) <= allowed:
+                held, drawn = tried, found
+                break
+            low, high = (angle, high) if angle < 0.0 else (low, angle)
+            angle = rng.uniform(low, high)
+    return drawn
+
+
+def slides(matter: Matter, spread: tuple[float, float]) -> np.ndarray:
+    """Return (6 N, 6 N), by which standard normal numbers become shifts and turns of all N bodies with these deviations
+    given that, to first order, what touches stays at its distance but for OPENS.
+
+    spread : (metres, radians) of each axis of a moving body.
+    """
+    deviations = np.array([np.repeat(spread, 3) if body.moves else np.zeros(6) for body in matter.bodies]).ravel()
+    first, second, point, normal, _ = find_contacts(matter)
+    apart = np.zeros((len(point), len(matter.bodies), 6))  # metres by which a contact opens, for each shift and turn
+    for sign, bodies in ((1.0, first), (-1.0, second)):
+        arm = point - np.array([matter.bodies[k].pose[:3, 3] for k in bodies]).reshape(-1, 3)
+        apart[np.arange(len(point)), bodies] += sign * np.concatenate([normal, np.cross(arm, normal)], axis=1)
+    rows = apart.reshape(len(point), -1) * deviations
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    return deviations[:, None] * vectors / np.sqrt(1.0 + values.clip(0.0) / (OPENS * matter.unit) ** 2)
 
 
 def pairs_entered(matter: Matter) -> set[tuple[str, str]]:
