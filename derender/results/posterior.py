@@ -22,6 +22,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import document_from, document_text
 from derender.errors import DerenderError
 from derender.json_text import misfit, parse_json
+from derender.registry import suggest
 from derender.results.fit import Explanation
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.contacts import contacts
@@ -178,10 +179,20 @@ class Posterior:
         """How probable it is that a search has found none of the structures that are there."""
         return max(1.0 - sum(part.weight for part in self.parts), 0.0)
 
+    def check_name(self, name: str) -> None:
+        """Raise DerenderError where no structure has an object of this name."""
+        if not any(part.tells_of(name) for part in self.parts):
+            names = {each for part in self.parts for each in (*part.graph.names, *part.extras.get("absent", ()))}
+            raise DerenderError(f"no object is called {name!r}", remedy=suggest(name, names))
+
     def object_probability(self, name: str) -> float:
         """Return the probability that an object of this name is there: in the structures that were found, and in what
         a search may have missed as often as the prior says, see `Missed`: where it is likelier that something was,
-        more was. How often a free-form thing is an object was counted over all answers."""
+        more was. How often a free-form thing is an object was counted over all answers.
+
+        Raises DerenderError, as all that is asked by name: no structure has an object of this name.
+        """
+        self.check_name(name)
         total = sum(part.weight for part in self.parts)
         there = float(sum(part.weight for part in self.parts if part.tells_of(name)) / total) if total else 0.0
         things = {vertex.name for part in self.parts for vertex in part.graph.vertices if vertex.shape == "thing"}
@@ -195,6 +206,7 @@ class Posterior:
 
     def object_probability_error(self, name: str) -> float:
         """Return the standard error of that probability, from those of the weights."""
+        self.check_name(name)
         there = [part.weight_error for part in self.parts if part.tells_of(name)]
         gone = [part.weight_error for part in self.parts if not part.tells_of(name)]
         known = min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
@@ -214,6 +226,7 @@ class Posterior:
 
     def _shares(self, name: str, said: Callable[[Vertex], Iterable[str]]) -> dict[str, float]:
         """Return how probable each thing is that is said of an object, given that it is there; the likeliest first."""
+        self.check_name(name)
         found: dict[str, float] = {}
         present = 0.0
         for part in self.parts:

@@ -30,6 +30,7 @@ GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
 FAR_APART, ONE_G = 5.0, 0.1  # seconds between frames, and m/s^2 off 1, that look like another unit
 DARK = 0.5  # share of a film's usual pixels with depth below which a first frame is too dark to begin with
 UNREADABLE = 0.25  # share of frames that may be unreadable: of a film that lacks more, too little is seen to follow
+SAME_RATE = 0.01  # share by which two frame rates may differ and be said to be one
 SAID = 5  # frames at most that a note names
 WHOLE, MOST_CHANNELS = (".npz", ".npy"), 4  # files that may hold a whole film; an array of more is no colour image
 
@@ -185,10 +186,18 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
     guessed = rate is None and timing.times is None
     times = timing.times if timing.times is not None and fps is None else counted(names) / (rate or FPS)
-    notes += [dark_start(dark, names[dark])] if dark else []
+    notes += [*([dark_start(dark, names[dark])] if dark else []), *other_rate(fps, timing)]
     film = Film(names[dark:], frames[dark:], seen[0].camera, seen[0].camera_is_guess, times[dark:], timing.gravity,
                 guessed)  # fmt: skip
     return _completed(film._replace(notes=(*notes, *_odd_units(film))))
+
+
+def other_rate(fps: float | None, timing: Timing) -> list[str]:
+    """Return what is said where a frame rate that is asked for is not the one that the frames say themselves."""
+    said = 1.0 / float(np.median(np.diff(timing.times))) if timing.times is not None else timing.fps
+    if fps is None or said is None or abs(said - fps) < SAME_RATE * fps:
+        return []
+    return [f"the camera says {said:.4g} frames a second; --fps {fps:g} goes before that, and speeds are as it says"]
 
 
 def _each_of(files: list[Path], camera: Any, depth_scale: float | None) -> tuple[list[DepthImage], list[str]]:

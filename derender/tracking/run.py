@@ -26,6 +26,7 @@ from derender.tracking.film import (
     dark_start,
     frame_files,
     level_spread,
+    other_rate,
     read_film,
     read_frame,
     read_timing,
@@ -227,7 +228,7 @@ def first_of(coming: Iterator[tuple[Path, DepthImage]], sources: Any, camera: An
     timing = read_timing(camera_of(sources, camera))
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
     times = (dark + np.arange(2)) / (rate or FPS)
-    notes = (dark_start(dark, path.name),) if dark else ()
+    notes = (*([dark_start(dark, path.name)] if dark else []), *other_rate(fps, timing))
     return Film(
         [path.name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None, notes
     )

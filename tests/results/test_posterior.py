@@ -62,9 +62,10 @@ def test_probabilities_are_sums_of_weights():
     assert posterior.object_probability("top") == pytest.approx(0.7)
     missing = Posterior((one.scaled(0.7), other.scaled(0.7)))  # what was missed may have the object as well
     assert missing.object_probability("top") == pytest.approx(0.7)
-    assert posterior.object_probability("nobody") == 0.0
+    for ask in ("object_probability", "object_probability_error", "parent_probability", "shape_probability"):
+        with pytest.raises(DerenderError, match="no object is called 'topp'.*did you mean 'top'"):
+            getattr(posterior, ask)("topp")
     assert posterior.parent_probability("top") == {"high": 1.0}
-    assert posterior.parent_probability("nobody") == {}
     assert posterior.shape_probability("lid") == {"cube": 1.0}
     counts = sum("lid" in graph.names for graph in posterior.graphs(np.random.default_rng(0), 400))
     assert abs(counts - 120) < 4.5 * np.sqrt(400 * 0.21)  # binomial, one failure in 150,000

@@ -35,7 +35,11 @@ def test_a_folder_is_read_in_counting_order_with_the_camera_beside_it(tmp_path):
 
 
 def test_fps_of_the_command_goes_before_that_of_the_camera(tmp_path):
-    assert read_film([write(tmp_path / "f", fps=24)], fps=50).times[1] == pytest.approx(0.02)
+    film = read_film([write(tmp_path / "f", fps=24)], fps=50)
+    assert film.times[1] == pytest.approx(0.02)
+    (told,) = (note for note in film.notes if "frames a second" in note)
+    assert "the camera says 24 frames" in told and "--fps 50" in told
+    assert not any("frames a second" in note for note in read_film([tmp_path / "f"], fps=24).notes)
 
 
 def test_one_file_holds_a_whole_film(tmp_path):
