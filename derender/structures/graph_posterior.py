@@ -50,7 +50,7 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.unexplained import additions, hidden_expected, spots_left
 from derender.structures.unions import merges, put_on, recuts
-from derender.structures.weighing import CLOSE, NEAR_ERROR, Weighed, made_sure, surest, surest_of_each
+from derender.structures.weighing import CLOSE, HIGHER, NEAR_ERROR, Weighed, made_sure, surest, surest_of_each
 
 ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
 MOST_MERGES, MOST_CUTS = 4, 3
@@ -64,6 +64,7 @@ NEGLIGIBLE, MOST_PARTS = 8.0, 12
 FEW_TO_CLIMB, LIKELY, MET = 40, 0.9, 4.0
 
 Again = Callable[[], Refined | None]
+Kept = tuple[Refined, float, list[str], float]  # of a structure its mode, log odds, names, and the error of the odds
 
 
 def parts_of(
@@ -107,7 +108,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         best = kept[0][0]
         start = (again() if in_doubt(best, agreed) else None) or best
         met = [trial.state for trial, odds, *_ in kept if trial is not start and odds > -MET]
-        kept = weighed_structures(rng, start, np.inf, [], settings, made, met)
+        kept = averaged(weighed_structures(rng, start, np.inf, [], settings, made, met), kept)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
     # What is not reported keeps its share: of the others' weights it takes what is its own.
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
@@ -168,9 +169,31 @@ def in_doubt(best: Refined, agreed: bool) -> bool:
     return not agreed or min(told["pixels"], default=np.inf) < FEW_TO_CLIMB or bool(told["spots"])
 
 
-def share_of_likeliest(kept: list[tuple[Refined, float, list[str], float]]) -> float:
+def share_of_likeliest(kept: list[Kept]) -> float:
     """Return the weight of the likeliest of what `weighed_structures` returns."""
     return float(1.0 / np.exp([odds for _, odds, *_ in kept]).sum())
+
+
+def averaged(kept: list[Kept], before: list[Kept]) -> list[Kept]:
+    """Return what a second weighing keeps with the odds of both, each against the likeliest of the second, where both
+    found modes as high; by the inverse variances, with the error of what they differ by where that is greater."""
+    best, names = kept[0][0], kept[0][2]
+    first = {structure_key(trial.state, matched_names(trial.state, best.state, names)): (trial, odds, error)
+             for trial, odds, _, error in reversed(before)}  # fmt: skip
+    nothing = (None, 0.0, 0.0)
+    found = []
+    held, against, spread = first.get(structure_key(best.state, names), nothing)
+    for trial, odds, own, error in kept:
+        other, own_odds, own_error = first.get(structure_key(trial.state, own), nothing)
+        alike = [a is not None and abs(height(a) - height(b)) < HIGHER for a, b in ((held, best), (other, trial))]
+        if trial is not best and all(alike):
+            each = np.array([odds, own_odds - against])
+            squares = np.square([error, np.hypot(own_error, spread)]) + np.finfo(float).tiny
+            odds = float(np.average(each, weights=1.0 / squares))
+            error = float(np.sqrt(max(1.0, np.ptp(each) ** 2 / squares.sum()) / (1.0 / squares).sum()))
+        found.append((trial, odds, own, error))
+    most = max(odds for _, odds, *_ in found)
+    return sorted(((trial, odds - most, own, error) for trial, odds, own, error in found), key=lambda each: -each[1])
 
 
 class DrawsOfOne:

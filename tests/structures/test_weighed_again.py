@@ -59,6 +59,30 @@ def of_one_solid(found):
     return sum(part.weight for part in found.parts if len(part.graph.solid_names) == 2)
 
 
+def of_kind(best, is_cube, lower=0.0):
+    """Return the cube's Refined as a cube or a box, its mode that much lower."""
+    state = best.state.copy()
+    state.cubes[0] = is_cube
+    return best._replace(state=state, log_likelihood=best.log_likelihood - lower)
+
+
+def test_odds_of_two_weighings_are_averaged_where_their_modes_are_as_high():
+    best = cube()
+    box, low = of_kind(best, False), of_kind(best, False, 2.0)
+    now = [(best, 0.0, ["cube_1"], 0.0), (box, -1.0, ["cube_1"], 0.2)]
+    (_, zero, _, none), (trial, odds, _, error) = room.averaged(now, [*now[:1], (box, -1.2, ["cube_1"], 0.2)])
+    assert (zero, none) == (0.0, 0.0) and trial is box
+    assert odds == pytest.approx(-1.1) and error == pytest.approx(0.2 / np.sqrt(2.0))
+    # by a first one whose likeliest is the box, the cube is .6 against it: so the box is -.6 against the cube
+    other_way = [(box, 0.0, ["cube_1"], 0.0), (best, 0.6, ["cube_1"], 0.1)]
+    (_, odds, _, error) = room.averaged(now, other_way)[1]
+    assert odds == pytest.approx(-0.6 - 0.4 * 0.2) and error > 0.1 / np.sqrt(1.25)  # more than both say: they differ
+    assert room.averaged(now, [*now[:1], (low, -3.0, ["cube_1"], 0.1)]) == now  # whose mode was missed says nothing
+    assert room.averaged(now, [(low, 0.0, ["cube_1"], 0.0)]) == now
+    (leader, zero, _, _), *_ = room.averaged(now, [*now[:1], (box, 1.5, ["cube_1"], 0.05)])
+    assert leader is box and zero == 0.0
+
+
 @pytest.mark.slow
 def test_a_sure_answer_of_few_pixels_gives_way_to_what_a_second_weighing_finds(monkeypatch):
     seed = [SMALL, 8]  # the one of four whose first weighing finds no other mode
