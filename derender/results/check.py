@@ -27,9 +27,12 @@ TRIES = 150  # planes through three pixels each, of each kind: one with half of 
 NEAR, DEVIATIONS = 0.006, 3.0  # share of the distance that a plane may be off, or so many deviations of the noise
 CLEARLY, MORE = 1.2, 0.08  # times as many pixels on the plane of another kind, and by how much of all, at least
 AT_ONE = 0.01  # share of the numbers that are a buffer's background, or cut off at 1 m
+# Metres that 16 bits of millimetres hold, and that depth cameras see: what is seen between the two is inverted.
+WHOLE_RANGE, MOST_REACH = 65.535, 15.0
 REMEDIES = {
     "range": "distances along the rays (range), not depth along the axis: convert them by z = r / |ray|",
     "buffer": "in a depth buffer of OpenGL: convert them by z = far near / (far - (far - near) number)",
+    "inverted": "of depths that were taken from 65535: convert them back by z = 65535 - number",
     "disparity": "disparities, not depths: convert them by z = focal length * baseline / disparity",
 }
 
@@ -39,6 +42,9 @@ def wrong_kind(observed: np.ndarray, camera: Camera, noise: Noise) -> list[Doubt
     known = observed[np.isfinite(observed)]
     if known.max(initial=0.0) == 1.0 and np.mean(known == 1.0) > AT_ONE:
         return [Doubt("the numbers end in exactly 1 where nothing is near, as " + REMEDIES["buffer"])]
+    middle = float(np.median(known)) if len(known) else 0.0
+    if known.max(initial=0.0) <= WHOLE_RANGE and WHOLE_RANGE - MOST_REACH < middle:
+        return [Doubt(f"the numbers lie about {middle:.3g} m away, as {REMEDIES['inverted']}")]
     shares = plane_shares(observed, camera, noise)
     best = max(shares, key=lambda kind: shares[kind])
     if best == "depth" or shares[best] < max(CLEARLY * shares["depth"], shares["depth"] + MORE):

@@ -65,3 +65,10 @@ def test_a_plane_has_its_share_in_any_units():
         shares = plane_shares(other, CAMERA, flat_noise(seen))
         assert shares[kind] == 1.0 and max(share for name, share in shares.items() if name != kind) < 0.9
     assert words_of(np.full((120, 160), np.nan)) == []
+
+
+def test_depths_taken_from_65535_are_told():
+    """Such an image is a plane far away, where a solid is a hole that noise of centimetres explains."""
+    (words,) = words_of(65.535 - image(40))
+    assert words.startswith("the numbers lie about 64") and "65535 - number" in words
+    assert words_of(30.0 * image(60)) == []  # far, and as it is
