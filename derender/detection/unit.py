@@ -73,7 +73,8 @@ def stretched(part: StructurePosterior, factors: np.ndarray) -> StructurePosteri
     factors, lengths = factors[..., None], lengths_of(part.graph)
     values = part.values * np.where([address in lengths for address in part.addresses], factors, 1.0)
     root = part.graph.root_pose if part.root_pose is None else part.root_pose
-    return replace(part, values=values, root_pose=farther(np.broadcast_to(root, (*factors.shape[:2], 4, 4)), factors))
+    roots = farther(np.broadcast_to(root, (*factors.shape[:2], 4, 4)), factors)
+    return replace(part, values=values, root_pose=roots, apparent=None)
 
 
 def farther(pose: np.ndarray, factor: float | np.ndarray) -> np.ndarray:

@@ -254,7 +254,8 @@ class Posterior(kept.Posterior):
         """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.
 
         Its groups are `posterior`, `sample_stats` and, where the image is known, `observed_data`, `log_likelihood` and
-        `posterior_predictive` by blocks of pixels: neighbours share their errors, so a block is one observation.
+        `posterior_predictive` by blocks of pixels: neighbours share their errors, so a block is one observation. Where
+        they share so much that blocks do not count by themselves, as a real sensor's, `log_likelihood` is left out.
 
         Raises DerenderError : ArviZ is not installed.
         """

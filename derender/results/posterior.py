@@ -33,7 +33,7 @@ from derender.scene.shapes import shapes
 
 FORMAT = 2  # of posterior.npz
 TOLD = ("addresses", "weight", "weight_error", "weight_interval", "periods", "extras")  # of each part, in its header
-DRAWN = ("values", "log_prior", "log_likelihood", "root_pose")  # of each draw of a part, the last where it is unknown
+DRAWN = ("values", "log_prior", "log_likelihood", "root_pose", "apparent")  # of each draw, the last two where known
 SAME = 1e-9  # metres and radians by which frames that are the same differ, by rounding
 NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
@@ -50,6 +50,7 @@ class StructurePosterior:
         with "root." or "likelihood." are no numbers of the graph.
     weight_interval : in which it lies with 90 %; None where nothing was said of its error.
     root_pose : (chains, draws, 4, 4) float64 where the root's pose is unknown, else None: the graph has it.
+    apparent : (chains, draws, P) float64, the values of faces where the image shows them; None: as they are, or lost.
     extras : numbers and arrays worth keeping, by name (acceptance by kernel, evidence ...); `absent`, the names of what
         is no object in this structure though it is one in others that are alike.
     """
@@ -65,10 +66,13 @@ class StructurePosterior:
     extras: Mapping[str, Any] = field(default_factory=dict)
     weight_error: float = 0.0  # its standard error
     weight_interval: tuple[float, float] | None = None
+    apparent: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not self.periods:
             object.__setattr__(self, "periods", tuple(map(self.graph.period, self.addresses)))
+        if self.apparent is not None and self.apparent.shape != self.values.shape:  # there are other unknowns now
+            object.__setattr__(self, "apparent", None)
 
     def __repr__(self) -> str:
         chains, draws, size = self.values.shape
@@ -85,9 +89,10 @@ class StructurePosterior:
         """(chains, draws), log prior plus log likelihood."""
         return self.log_prior + self.log_likelihood
 
-    def graph_at(self, chain: int, draw: int) -> SceneGraph:
-        """Return the scene of one draw."""
-        told = zip(self.addresses, self.values[chain, draw], strict=True)
+    def graph_at(self, chain: int, draw: int, apparent: bool = False) -> SceneGraph:
+        """Return the scene of one draw. apparent : with its faces where the image shows them."""
+        values = self.values if self.apparent is None or not apparent else self.apparent
+        told = zip(self.addresses, values[chain, draw], strict=True)
         graph = self.graph.with_numbers({a: x for a, x in told if not a.startswith(("root.", "likelihood."))})
         return graph if self.root_pose is None else replace(graph, root_pose=self.root_pose[chain, draw])
 
@@ -128,7 +133,8 @@ class StructurePosterior:
     def only(self, kept: Sequence[int]) -> "StructurePosterior":
         """Return the part with some of its numbers as unknowns alone, by their places."""
         addresses = tuple(self.addresses[k] for k in kept)
-        return replace(self, addresses=addresses, values=self.values[..., kept], periods=())
+        drawn = {name: self.arrays[name][..., kept] for name in ("values", "apparent") if name in self.arrays}
+        return replace(self, addresses=addresses, periods=(), **drawn)
 
     def scaled(self, share: float, error: float = 0.0) -> "StructurePosterior":
         """Return the same draws with a share of the weight. error : standard error of the share."""
@@ -365,7 +371,8 @@ def check_parts(parts: Sequence[Any]) -> None:
         if len(set(part.addresses)) < unknowns:
             raise DerenderError("an unknown stands twice")
         drawn = part.values.shape[:2]
-        of_each = {"values": (unknowns,), "log_prior": (), "log_likelihood": (), "root_pose": (4, 4)}
+        of_each = {"values": (unknowns,), "log_prior": (), "log_likelihood": (), "root_pose": (4, 4),
+                   "apparent": (unknowns,)}  # fmt: skip
         for key, array in part.arrays.items():
             if array.shape != (*drawn, *of_each[key]) or len(drawn) < 2 or 0 in drawn:
                 raise DerenderError(f"its {key} of {unknowns} unknowns have the shape {array.shape}")
@@ -420,7 +427,9 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
     runs = [as_seen_from(first, part).arrays for part in parts]
     joined: dict[str, Any] = {name: np.concatenate([run[name][:, :draws] for run in runs])
               for name in DRAWN if all(name in run for run in runs)}  # fmt: skip
-    return replace(posteriors[0], parts=(replace(first, weight=1.0, **{"root_pose": None, **joined}),))
+    return replace(
+        posteriors[0], parts=(replace(first, weight=1.0, **{"root_pose": None, "apparent": None, **joined}),)
+    )
 
 
 def as_seen_from(first: StructurePosterior, part: StructurePosterior) -> StructurePosterior:
@@ -452,7 +461,7 @@ def as_seen_from(first: StructurePosterior, part: StructurePosterior) -> Structu
                 if name == vertex.name and key:
                     values[chain, draw, place] = told[key]
     roots = None if part.root_pose is None else part.root_pose @ turns[ROOT]
-    return replace(part, values=values, root_pose=roots)
+    return replace(part, values=values, root_pose=roots, apparent=None)
 
 
 def symmetric_turns(first: SceneGraph, graph: SceneGraph) -> dict[str, np.ndarray]:

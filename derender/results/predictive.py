@@ -27,6 +27,9 @@ LEAST_FILLED = 0.5  # share of a block's pixels that returned a depth: with fewe
 # Draws of which the blocks are scored, and of which images are drawn: at most, and at least of an image with more than
 # so many pixels. To score 400 of 640 x 480 pixels took as long as to infer them; 100 do for leave-one-out.
 SCORED, DRAWN, LEAST_SCORED, LEAST_DRAWN, PIXELS = 400, 50, 100, 10, 320 * 240
+# Nats, standard deviation over draws, by which the sum of the blocks may be off the log likelihood that was drawn
+# under, but for a constant: each draw's own blur makes 7; neighbours that share noise thousands: no block counts.
+MOST_APART = 15.0
 
 
 class Blocks(NamedTuple):
@@ -41,7 +44,7 @@ class Blocks(NamedTuple):
     columns: np.ndarray
     observed: np.ndarray  # (N,) metres, mean depth of the pixels that returned one
     scored: np.ndarray  # (S,) int, numbers of the draws in each chain that were scored
-    log_likelihood: np.ndarray  # (chains, S, N), of all pixels of the block
+    log_likelihood: np.ndarray | None  # (chains, S, N), of all pixels of the block; None: it cannot be told by draws
     drawn: np.ndarray  # (D,) int, numbers of the draws in each chain of which images were drawn
     predicted: np.ndarray  # (chains, D, N) metres, mean depth of the same pixels in an image drawn from the likelihood
 
@@ -73,13 +76,17 @@ def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: n
         for place, draw in enumerate(scored):
             kind, values = likelihood_at(posterior, part, chain, int(draw))
             evaluator = evaluator or DepthEvaluator(camera, observed, kind, values)
-            evaluator.log_likelihood(part.graph_at(chain, int(draw)).solids(), values)
+            evaluator.log_likelihood(part.graph_at(chain, int(draw), apparent=True).solids(), values)
             scores[place] = _sums(evaluator.per_pixel(), side)[kept]
         images = [means(image_at(posterior, part, chain, int(draw), camera, rng)) for draw in drawn]
         return scores, np.reshape(images, (len(drawn), len(rows)))
 
-    scores, images = map(np.array, zip(*in_threads(rng, [partial(told, chain=k) for k in range(chains)]), strict=True))
-    return Blocks(rows * side, columns * side, means(observed), scored, scores, drawn, images)
+    scores_of, images = map(
+        np.array, zip(*in_threads(rng, [partial(told, chain=k) for k in range(chains)]), strict=True)
+    )
+    apart = float(np.std(scores_of.sum(axis=-1) - part.log_likelihood[:, scored]))
+    known = scores_of if apart < MOST_APART else None
+    return Blocks(rows * side, columns * side, means(observed), scored, known, drawn, images)
 
 
 def predictive_images(posterior: Posterior, camera: Camera, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -101,7 +108,7 @@ def image_at(
 ) -> np.ndarray:
     """Return (H, W), an image drawn from the likelihood of one draw, at a camera's pixels."""
     kind, values = likelihood_at(posterior, part, chain, draw)
-    clean, _ = render_depth(part.graph_at(chain, draw).solids(), camera)
+    clean, _ = render_depth(part.graph_at(chain, draw, apparent=True).solids(), camera)
     return drawn_image(kind, rng, clean, values, posterior.meta["likelihood"].get("drawn"))
 
 
@@ -140,7 +147,8 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
     """Write the groups `posterior` and `sample_stats`; return False where `can_be_read` does.
 
     With `blocks` also `observed_data`, `log_likelihood` and `posterior_predictive` (each `depth` over the dimension
-    `block`; `constant_data` says where the blocks lie), so that `arviz.loo` and `arviz.plot_ppc` have what they need.
+    `block`; `constant_data` says where the blocks lie), so that `arviz.loo` and `arviz.plot_ppc` have what they need;
+    no `log_likelihood` where it cannot be told by blocks. Attributes say of which structure, and how probable it is.
 
     Written with h5py alone, as h5netcdf lays it out: ArviZ takes longer to import than most inferences, and h5netcdf
     longer to write. `arviz.from_netcdf` reads it. In memory first: where a disk is full, HDF5 prints tracebacks.
@@ -158,14 +166,13 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
     if blocks is not None and len(blocks.observed):  # so few pixels may have returned that no block counts
         number = {"block": np.arange(len(blocks.observed))}
         where = {"row": blocks.rows, "column": blocks.columns}
-        scored = blocks.log_likelihood
-        apart = TIE * np.arange(scored[..., 0].size).reshape(*scored.shape[:2], 1)
-        groups |= {
-            "observed_data": (number, {"depth": blocks.observed}),
-            "constant_data": (number, where),
-            "log_likelihood": ({"chain": chain, "draw": blocks.scored} | number, {"depth": scored + apart}),
-            "posterior_predictive": ({"chain": chain, "draw": blocks.drawn} | number, {"depth": blocks.predicted}),
-        }
+        groups |= {"observed_data": (number, {"depth": blocks.observed}), "constant_data": (number, where)}
+        if (scored := blocks.log_likelihood) is not None:
+            apart = TIE * np.arange(scored[..., 0].size).reshape(*scored.shape[:2], 1)
+            over = {"chain": chain, "draw": blocks.scored} | number
+            groups["log_likelihood"] = (over, {"depth": scored + apart})
+        over = {"chain": chain, "draw": blocks.drawn} | number
+        groups["posterior_predictive"] = (over, {"depth": blocks.predicted})
     whole = io.BytesIO()
     with h5py.File(whole, "w", track_order=True) as file:
         file.attrs["_NCProperties"] = f"version=2,h5py={h5py.__version__}"
@@ -177,6 +184,9 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
             for key in ("version", "command"):
                 group.attrs[key] = str(getattr(posterior, key))
             group.attrs["seed"] = int(posterior.seed or 0)
+            group.attrs["structure"] = ", ".join(part.graph.names)
+            group.attrs["probability"] = float(part.weight)  # of this structure: what is drawn is given that
+            group.attrs["units"] = "metres, radians"
     write_bytes(path, whole.getvalue())
     return True
 

@@ -153,7 +153,7 @@ def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior
     for chain, draw in np.ndindex(part.log_density.shape):
         gap = nearest_to_resting(part.graph_at(chain, draw), candidate.name, candidate.other)[1].gap
         values[chain, draw, place] = max(values[chain, draw, place] + gap, 0.5 * values[chain, draw, place])
-    return replace(part, values=values)
+    return replace(part, values=values, apparent=None)
 
 
 def merge_same(parts: Sequence[StructurePosterior]) -> list[StructurePosterior]:

@@ -326,7 +326,7 @@ def structure_posterior(
         densities[best] = refined.log_prior, refined.log_likelihood
     size = values.shape[-1]
     values[best] = at_median_unseen(refined, values[best], values.reshape(-1, size))
-    likeliest = true_faces(None, chart, values[best][None])
+    likeliest, apparent = true_faces(None, chart, values[best][None]), values
     values = true_faces(rng, chart, values.reshape(-1, size)).reshape(values.shape)
     values[best] = likeliest[0]
     state = refined_at(
@@ -335,9 +335,11 @@ def structure_posterior(
     graph = scene_graph(state, floor_pose_of(refined), names, chart.floating)
     addresses, numbers, root = numbers_of_draws(chart, values.reshape(-1, size), graph, names)
     shape = values.shape[:2]
+    _, shown, _ = numbers_of_draws(chart, apparent.reshape(-1, size), graph, names)
     return StructurePosterior(
         graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight,
         root_pose=root.reshape(*shape, 4, 4),
+        apparent=None if np.array_equal(shown, numbers) else shown.reshape(*shape, -1),
         extras={"accepted": [chain.accepted for chain in chains],
          "likelihood": refined.sensor.to_data(),
          **({"into": [view.into.tolist() for view in refined.sensor.others]} if refined.sensor.others else {})},
