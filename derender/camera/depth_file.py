@@ -335,11 +335,16 @@ class Reading:
         if seen.camera_is_guess and camera is not None and camera.shape == seen.depth.shape and str(path) != "-":
             seen = read_depth(path, camera, self.depth_scale, self.topic)
         if self.up is not None:
-            down = [-number for number in direction(self.up)]
-            seen = seen._replace(camera=replace(seen.camera, gravity=unit_vector(down, "--up")))
+            seen = with_up(seen, self.up)
         if self.confidence is not None:
             seen = seen._replace(depth=without_doubtful(seen.depth, path, self.confidence, self.least_confidence))
         return turned(seen, self.rotate)
+
+
+def with_up(seen: DepthImage, up: str | Sequence[float] | np.ndarray) -> DepthImage:
+    """Return an image whose camera knows which way is up: x,y,z in its axes, numbers or text, or an axis such as -y."""
+    down = [-number for number in direction(up if isinstance(up, str) else ",".join(map(str, up)))]
+    return seen._replace(camera=replace(seen.camera, gravity=unit_vector(down, "--up")))
 
 
 def direction(text: str) -> list[float]:

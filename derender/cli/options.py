@@ -13,7 +13,6 @@ Paths are plain strings, not click.Path: a file that is missing is the user's in
 import contextlib
 import functools
 import math
-import re
 import shlex
 import sys
 import time
@@ -25,7 +24,7 @@ import click
 from click.core import ParameterSource
 
 from derender.compilation.threads import processors
-from derender.errors import Idle, idle_lines, printable
+from derender.errors import DerenderError, Idle, idle_lines, printable
 
 # How `output` says that a folder is written; names that only a file has: whoever gives one expects a single file.
 FOLDERS = ("DIR", "FOLDER")
@@ -165,16 +164,15 @@ class Duration(click.ParamType):
     """A time such as 30s, 2min or 1.5h; a plain number counts seconds."""
 
     name = "time"
-    UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+    def convert(self, value: Any, param: Any, ctx: Any) -> float | None:
         """Return seconds."""
-        if isinstance(value, float):
-            return value
-        found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|)", str(value).strip())
-        if found is None or float(found[1]) <= 0.0:
-            self.fail(f"{value!r} is no time, such as 30s, 2min or 1h", param, ctx)
-        return float(found[1]) * self.UNITS[found[2]]
+        from derender.structures.options import seconds_of
+
+        try:
+            return seconds_of(value)
+        except DerenderError as error:
+            self.fail(f"{error.what}; {error.remedy}", param, ctx)
 
 
 seed = click.option(

@@ -1,18 +1,19 @@
 """The functions of `import derender`: read, draw, render, infer and simulate, in plain Python."""
 
+import sys
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
 from derender.camera import depth_file
-from derender.camera.depth_file import DepthImage
+from derender.camera.depth_file import DepthImage, with_up
 from derender.camera.intrinsics import Camera
-from derender.document import Document, read_prior_document
+from derender.document import Document, graph_data, read_prior_document
 from derender.interface.posterior import MOST_DRAWS, Posterior
 from derender.interface.scene import Scene
 from derender.interface.words import in_python, in_pythons_words
@@ -105,8 +106,9 @@ def infer(
     *,
     camera: Camera | Mapping[str, float] | np.ndarray | Sequence[Sequence[float]] | str | Path | None = None,
     depth_scale: float | None = None,
+    up: str | Sequence[float] | np.ndarray | None = None,
     prior: str | Path | Document | None = None,
-    known: str | Path | None = None,
+    known: str | Path | Mapping[str, Any] | Scene | None = None,
     only_known: bool = False,
     method: str = "auto",
     quick: bool = False,
@@ -119,7 +121,7 @@ def infer(
     chains: int | None = None,
     draws: int | None = None,
     warmup: int | None = None,
-    budget: float | None = None,
+    budget: str | float | None = None,
     jobs: int = 1,
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
@@ -131,14 +133,18 @@ def infer(
     camera : of an array or a file: a Camera, its file, a mapping of fx, fy, cx, cy, or a 3 x 3 matrix of intrinsics.
         Without one, 60 degrees of horizontal field of view are assumed.
     depth_scale : millimetres for one unit of an array of integers.
+    up : upwards in camera axes (x right, y down, z forward), three numbers or an axis such as "-y"; None: the camera's.
     prior : a scene file with distributions or a built-in prior; None: all is found from the image.
-    known : a library of known objects; only_known : there is nothing else.
+    known : a library of known objects: its file, what stands in it as a mapping such as {"brick": {"type": "box",
+        "length": 0.2, "width": "10 cm", "height": 0.06, "count": 2}}, or a Scene of which each object is there at most
+        once; only_known : there is nothing else.
     method : "auto", "map", "mcmc" or "smc"; quick : the best scene alone, as method="map".
     shapes, max_objects : to look for. floor : "auto", "none" or (a, b, c, d) of its plane in camera axes, metres.
     allow_interpenetration, allow_floating : whether solids may enter each other or hang in the air. assume_stable :
         whether what could not stand by itself is ruled out.
     chains, draws, warmup, jobs : how much is drawn, in how many processes. seed : the same seed gives the same draws.
-    budget : seconds after which draws of a bare image that do not agree yet are not gone on with.
+    budget : seconds, or a time such as "30s" or "2min", after which draws of a bare image that do not agree yet are not
+        gone on with.
     progress : called with (fraction done, what is being done).
 
     Raises DerenderError : something is wrong with the image, the camera or the prior. TypeError : an unknown keyword.
@@ -154,15 +160,15 @@ def infer(
     TypeError: infer() has no keyword 'drawz'; did you mean 'draws'?
     """
     from derender.report.result_folder import judged
-    from derender.structures.options import Options
+    from derender.structures.options import Options, seconds_of
     from derender.workflow import check_request, infer_image, look_at
 
     if quick and method not in ("auto", "map"):
         raise TypeError("infer(): quick=True is method='map'; leave one of them out")
     options = Options(
         method="map" if quick else method, quick=quick, seed=seed, chains=chains, draws=draws, warmup=warmup,
-        budget=budget, jobs=jobs, shapes=shapes, max_objects=max_objects, floor=floor, known=known,
-        only_known=only_known, may_overlap=allow_interpenetration, may_float=allow_floating,
+        budget=seconds_of(budget), jobs=jobs, shapes=shapes, max_objects=max_objects, floor=floor,
+        known=_library(known), only_known=only_known, may_overlap=allow_interpenetration, may_float=allow_floating,
         assume_stable=assume_stable,
     )  # fmt: skip
     document = prior if isinstance(prior, Document | None) else read_prior_document(prior)
@@ -173,14 +179,28 @@ def infer(
     else:  # a program may have put anything into it
         read = read_depth(image.depth, image.camera)
         image = read._replace(camera_is_guess=image.camera_is_guess or read.camera_is_guess, meta=image.meta)
-    seen = look_at(image, document, "image", _warn)
+    seen = look_at(image if up is None else with_up(image, up), document, "image", _warn)
     check_request(options, document, prior, _warn)
     posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)
     return Posterior.of(judged(posterior, seen, likelihood, page=False).posterior, seen)
 
 
+def _library(known: str | Path | Mapping[str, Any] | Scene | None) -> Any:
+    """Return what `Options` take for a library of known objects."""
+    from derender.structures.known.library import read_library
+
+    if isinstance(known, Scene):
+        entries = graph_data(known.graph)["objects"]
+        known = {name: {**entries[name]["shape"], "count": 1} for name in known.sizes}
+    return known if known is None else read_library(known)
+
+
 def _warn(line: str) -> None:
-    warnings.warn(in_python(line), stacklevel=6)  # where `infer` was called
+    """Warn of something at the line, outside of this package, that called it."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("derender."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(in_python(line), stacklevel=level)
 
 
 def as_camera(camera: Camera | str | Path | None) -> Camera | None:

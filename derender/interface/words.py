@@ -10,7 +10,7 @@ from derender.errors import DerenderError
 P = ParamSpec("P")
 T = TypeVar("T")
 # Options whose keyword has another name, or stands elsewhere.
-KEYWORDS = {"scene": "prior=", "up": "the camera's gravity"}
+KEYWORDS = {"scene": "prior="}
 # An option, and the value beside it: any text of an intervention, a word or number of others. A file's metavar is none.
 OPTION = re.compile(
     r"--(?:(push|remove|add|tilt|shake|jitter)[ =]((?:[\w+-]+:|\d)\S*[^\s:])"

@@ -1,5 +1,6 @@
 """What may be asked of the inference of a bare image, as one typed object."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,6 +18,7 @@ RANGES = {  # of whole numbers, so that memory holds what is asked for
     "chains": (1, 1000), "draws": (1, 10_000_000), "warmup": (0, 10_000_000), "jobs": (1, 1000),
     "max_objects": (1, 1000), "seed": (0, 2**128),
 }  # fmt: skip
+SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}  # in one of a unit of time
 METHODS = ("auto", "mcmc", "map", "smc")
 GRADIENTS = ("exact", "finite-difference")
 
@@ -103,6 +105,16 @@ NOT_DECIDING = frozenset(
     {"assume_stable", "folder", "gradient", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit",
      "frames"}
 )  # fmt: skip
+
+
+def seconds_of(budget: str | float | None) -> float | None:
+    """Return the seconds of a time such as "30s", "2min" or "1.5h"; a plain number counts seconds, None stays."""
+    if not isinstance(budget, str):
+        return budget
+    found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|)", budget.strip())
+    if found is None or float(found[1]) <= 0.0:
+        raise DerenderError(f"{budget!r} is no time", "--budget", "give one such as 30s, 2min or 1h")
+    return float(found[1]) * SECONDS[found[2]]
 
 
 def names_objects(document: "Document | None") -> bool:

@@ -137,6 +137,39 @@ def test_a_warning_is_about_the_line_that_called(image):
     assert words[0].startswith("camera= is not given") and words[1].startswith("chains= says nothing here")
 
 
+def test_a_warning_from_further_inside_is_about_that_line_too(image):
+    """It named a line of the package, whatever the way from the caller to what warned."""
+    twice = np.kron(np.nan_to_num(image.depth), np.ones((2, 2)))
+    with pytest.warns(UserWarning, match="repeat") as told:
+        derender.infer(twice, camera=derender.Camera.from_field_of_view(128, 96), quick=True)
+    assert {Path(each.filename).name for each in told} == {"test_interface.py"}
+
+
+def test_which_way_is_up_can_be_said_of_any_image(image):
+    up = -np.asarray(derender.sample("stack", seed=0).poses["floor"])[:3, 2]
+    seen = derender.infer(image, quick=True, up=-up).camera
+    np.testing.assert_allclose(seen.gravity, up, atol=1e-12)
+    assert derender.infer(np.nan_to_num(image.depth), camera=image.camera, quick=True, up="-y").camera.gravity == (
+        0,
+        1,
+        0,
+    )
+
+
+def test_known_objects_are_a_mapping_or_those_of_a_scene(image):
+    scene = derender.sample("stack", seed=0)
+    entries = {name: {"type": "cube", "side": f"{100 * size[0]} cm"} for name, size in scene.sizes.items()}
+    for known in (entries, scene):
+        found = derender.infer(image, known=known, only_known=True, quick=True).objects
+        assert sorted(each.name for each in found) == ["green", "red", "yellow"]
+    with pytest.raises(DerenderError, match="known, line 2, known.brick.lenght: this key is unknown here; did you"):
+        derender.infer(image, known={"brick": {"type": "box", "lenght": 0.2}})
+
+
+def test_a_budget_is_a_time_as_on_the_command_line(image):
+    derender.infer(image, budget="90s", draws=10, chains=1)
+
+
 def test_numbers_of_other_libraries_are_numbers():
     camera = derender.Camera.from_field_of_view(np.int64(32), np.int32(24), np.float32(50.0))
     scene = derender.sample("stack", seed=np.uint8(1), camera=camera)
@@ -205,6 +238,10 @@ def test_options_are_checked():
         derender.infer(np.ones((48, 64)), method="smc", camera=derender.Camera.from_field_of_view(64, 48))
     with pytest.raises(DerenderError, match="budget is -1; give seconds"):
         derender.infer(np.ones((48, 64)), budget=-1)
+    with pytest.raises(DerenderError, match="^budget=: '3 bananas' is no time; give one such as 30s, 2min or 1h"):
+        derender.infer(np.ones((48, 64)), budget="3 bananas")
+    with pytest.raises(DerenderError, match="^up=: 'above' is no direction; give x,y,z in camera axes"):
+        derender.infer(np.ones((48, 64)), up="above", camera=derender.Camera.from_field_of_view(64, 48))
     with pytest.raises(TypeError, match="quick=True is method='map'"):
         derender.infer(np.ones((48, 64)), method="smc", quick=True)
     with pytest.raises(DerenderError, match="'bx' is no shape to look for; did you mean 'box'"):
@@ -219,7 +256,7 @@ def test_options_are_checked():
         ("the floor may be another: --floor=0,0.9,0.1,-1", "the floor may be another: floor=(0,0.9,0.1,-1)"),
         ("--push red:+x:0.5N@0.1s: no object", 'push="red:+x:0.5N@0.1s": no object'),
         ("--draws 400 would do", "draws=400 would do"),
-        ("it may be a wall, see --up", "it may be a wall, see the camera's gravity"),
+        ("it may be a wall, see --up", "it may be a wall, see up="),
     ],
 )
 def test_options_of_commands_are_told_as_keywords(line, words):

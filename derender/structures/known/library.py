@@ -22,7 +22,7 @@ import numpy as np
 from derender.detection.solids.image import SIZE, make_row, rotation_of
 from derender.errors import DerenderError
 from derender.render.raycast.depth import Meshes, flat_meshes
-from derender.scene.codec.yaml_tree import read_yaml
+from derender.scene.codec.yaml_tree import parse_yaml, read_yaml, to_yaml
 from derender.scene.pose import rotation_z
 from derender.scene.priors.reading import read_shape
 from derender.scene.shapes import Body, shapes
@@ -98,18 +98,22 @@ class Known:
         return bool(any(np.trace(relative @ other) > 2.999 for other in symmetry.rotations))
 
 
-def read_library(path: str | Path) -> tuple[Known, ...]:
-    """Read a library of known objects.
+def read_library(given: str | Path | Mapping[str, Any]) -> tuple[Known, ...]:
+    """Read a library of known objects. given : its file; or a mapping of what stands there under `known`, by name.
 
     Raises DerenderError : with file, line and address; a distribution where a number is needed; a mesh that is missing,
         has too many triangles, or is metres long (it was written in millimetres: give scale: 0.001).
     """
-    top = read_yaml(path).allow("derender", "known")
+    if isinstance(given, Mapping):
+        top, folder = parse_yaml(to_yaml({"known": given}, {"known": 1}), "known"), Path.cwd()
+    else:
+        top, folder = read_yaml(given), Path(given).resolve().parent
+    top.allow("derender", "known")
     if "known" not in top:
         raise top.fault("no objects are listed", "write known: and below it name: {type: ..., ...}")
     library = []
     for name, node in top["known"].section().items():
-        prior = read_shape(node, Path(path).resolve().parent, ("count",))
+        prior = read_shape(node, folder, ("count",))
         if not shapes[prior.type].bounded:
             raise node.fault(f"a {prior.type} has no size", "known objects are solids")
         if "." in name or name in ("root", "floor"):
