@@ -112,7 +112,7 @@ FAULTS = [
     ("side: 0.1}, parent: floor", "side: {uniform: [1, 0]}}, parent: floor", "lower 1 is not below upper 0"),
     ("side: 0.1}, parent: floor", "side: {normal: [0.1, 0.1]}}, parent: floor", "leaves the range"),
     ("side: 0.1}, parent: floor", "side: {poisson: 3}}, parent: floor", "no distribution over a length"),
-    ("side: 0.1}, parent: floor", "side: 10 deg}, parent: floor", "write m or cm or mm"),
+    ("side: 0.1}, parent: floor", "side: 10 deg}, parent: floor", "write a number and m or cm or mm, such as 10 mm"),
     ("type: cube", "type: cubus", "did you mean 'cube'?"),
     ("shape: plane", "shape: plain", "did you mean 'plane'?"),
     ("u: 0.2", "u: 1.2", "u is 1.2, out of range; u lies in [0, 1]"),

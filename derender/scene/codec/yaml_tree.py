@@ -235,27 +235,26 @@ def parse_number(text: str, unit: str = "", strict: bool = True) -> float:
 
     Raises DerenderError : if it is no finite number in such notation, or its unit does not fit.
     """
-    factor = 1.0
-    digits = text.strip()
+    factor, digits = 1.0, text.strip()
     if not _DECIMAL.fullmatch(digits) and not _LOOSE.fullmatch(digits):
         match = _WITH_UNIT.fullmatch(digits)
         if match and _LOOSE.fullmatch(match[1]) and re.search(r"[0-9]", match[1]):
             digits, named = match[1], match[2]
             known = UNITS.get(unit, {})
             if named not in known:
-                good = " or ".join(known) if known else "a number without a unit"
-                raise DerenderError(f"{shown(text)} has a unit that does not fit here", remedy=f"write {good}")
+                good = f"and {' or '.join(known)}, such as {digits} {[*known][-1]}" if known else "without a unit"
+                raise DerenderError(f"{shown(text)} has a unit that does not fit here", remedy=f"write a number {good}")
             factor = known[named]
     loose = not strict and _LOOSE.fullmatch(digits) and re.match(r"[-+]?\.?[0-9]", digits)
     if not loose and not _DECIMAL.fullmatch(digits):
-        raise _fault(digits, text)
+        raise _fault(digits, text, unit)
     value = float(digits) * factor
     if not math.isfinite(value):
         raise DerenderError(f"{shown(text)} is too large", remedy="give a finite number")
     return value
 
 
-def _fault(digits: str, text: str) -> DerenderError:
+def _fault(digits: str, text: str, unit: str) -> DerenderError:
     """Say why `digits` is refused and what would be right."""
     match = _LOOSE.fullmatch(digits)
     if match and (match[2] or match[4]):
@@ -270,7 +269,8 @@ def _fault(digits: str, text: str) -> DerenderError:
         return DerenderError(f"{shown(text)} is not a finite number", remedy="give a finite number")
     if re.fullmatch(r"[-+]?(?:0[xX][0-9a-fA-F_]+|0[bB][01_]+|[0-9]+(?::[0-9.]+)+|[0-9][0-9_]*\.?[0-9_]*)", digits):
         return DerenderError(f"{shown(text)} is not in decimal notation", remedy="write plain digits, such as 1250.0")
-    return DerenderError(f"{shown(text)} is not a number", remedy="write one such as 0.05 or 20 deg")
+    example = " ".join(["or 20", *[*UNITS.get(unit, {})][-1:]])
+    return DerenderError(f"{shown(text)} is not a number", remedy=f"write one such as 0.05 {example}")
 
 
 def read_yaml(path: str | Path) -> Section:
