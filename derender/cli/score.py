@@ -11,6 +11,10 @@ from derender.cli import options
 from derender.cli.options import Talk
 from derender.errors import DerenderError
 
+MOST_GAIN = (
+    1e9  # nats that are told: where a floor is taken away nothing is seen, and how unlikely that is says nothing
+)
+
 
 @click.command()
 @click.argument("scene", metavar="SCENE-or-DIR")
@@ -32,9 +36,9 @@ def command(
 
     IMAGE may be left out for a DIR, which holds the image that it was inferred from. `pixels` are those in which an
     object is seen, `log likelihood` the sum over them (all rows sum to the whole), `gain` what the scene would lose
-    without this object alone, `residual` the median distance between image and scene. The likelihood is the one in the
-    scene file, which infer fits to the image, else a normal with a standard deviation of 5 mm. Where the log prior is
-    -inf, the prior cannot make such a scene: the line says why.
+    without this object alone (>1e9 where nothing else would be seen there), `residual` the median distance between
+    image and scene. The likelihood is the one in the scene file, which infer fits to the image, else a normal with a
+    standard deviation of 5 mm. Where the log prior is -inf, the prior cannot make such a scene: the line says why.
 
     \b
     Examples:
@@ -79,6 +83,8 @@ def _table(shares: Any) -> str:
     rows = []
     for share in shares:
         gain = _number(share.gain) if math.isfinite(share.gain) else "–"
+        if share.gain > MOST_GAIN:
+            gain = f">{MOST_GAIN:.0e}".replace("e+0", "e")
         residual = number_or_dash(share.residual * 1000.0, ".2f")
         rows.append([share.name, str(share.pixels), _number(share.log_likelihood), gain, residual])
     return text_table(rows, ["object", "pixels", "log likelihood", "gain", "residual mm"])
