@@ -91,6 +91,7 @@ def report_of(
         seen = meta.get("spots", ()), given, [*meta.get("clutter", ()), *meta.get("cut_short", ())]
         doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}, *seen))
     if posterior is not None:
+        doubts = trust.with_all_in_doubt(doubts, graph)
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, graph, fit)})
     scene = scene_json(graph, posterior)
     known = {key: value for key, value in known.items() if value not in (None, "")}

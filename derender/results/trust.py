@@ -71,15 +71,32 @@ def trusted(doubts: Sequence[Doubt]) -> bool:
     return not any(doubt.serious for doubt in doubts)
 
 
-def judgement(doubts: Sequence[Doubt], graph: "SceneGraph", fit: "Fit | None" = None) -> dict[str, Any]:
-    """Return what a posterior's `meta` holds of it, as JSON has it: `explained`, `trusted`, `doubts`, and `in_doubt`:
-    the objects of the best scene that are in doubt for any, and what stands on them."""
-    in_doubt: list[str] = []
+def in_doubt(doubts: Sequence[Doubt], graph: "SceneGraph") -> list[str]:
+    """Return the names of the objects of a scene that are in doubt for any, and of what stands on them."""
+    found: list[str] = []
     for vertex in graph.vertices:  # parents come first
         own = any(doubt.serious if doubt.about is None else vertex.name in doubt.about for doubt in doubts)
-        if own or {vertex.parent, *vertex.supports} & set(in_doubt):
-            in_doubt.append(vertex.name)
-    told = {"trusted": trusted(doubts), "doubts": [doubt.words for doubt in doubts], "in_doubt": in_doubt}
+        if own or {vertex.parent, *vertex.supports} & set(found):
+            found.append(vertex.name)
+    return found
+
+
+def with_all_in_doubt(doubts: tuple[Doubt, ...], graph: "SceneGraph") -> tuple[Doubt, ...]:
+    """Return the doubts, and where they leave none of a scene's solids one that says so: of that nothing is trusted."""
+    solids = {vertex.name for vertex in graph.vertices if vertex.body.size() is not None}
+    if not solids or not trusted(doubts) or not solids <= set(in_doubt(doubts, graph)):
+        return doubts
+    words = "each of the objects is in doubt" if len(solids) > 1 else "the one object that was found is in doubt"
+    return (*doubts, Doubt(words, about=()))
+
+
+def judgement(doubts: Sequence[Doubt], graph: "SceneGraph", fit: "Fit | None" = None) -> dict[str, Any]:
+    """Return what a posterior's `meta` holds of it, as JSON has it: `explained`, `trusted`, `doubts`, `in_doubt`."""
+    told = {
+        "trusted": trusted(doubts),
+        "doubts": [doubt.words for doubt in doubts],
+        "in_doubt": in_doubt(doubts, graph),
+    }
     return told if fit is None else {"explained": round(fit.share, 4), **told}
 
 

@@ -11,7 +11,7 @@ from derender.report.scene_json import scene_json
 from derender.results.check import check_fit
 from derender.results.fit import fit_of
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.results.trust import Doubt, judgement, trusted
+from derender.results.trust import Doubt, judgement, trusted, with_all_in_doubt
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.pose import rotation_y, translation
 
@@ -54,6 +54,16 @@ def test_a_thing_that_was_missed_is_told_and_where():
     expected = fit_of(TRUE, CAMERA, image(TRUE), LIKELIHOOD).label == 3
     assert (doubt.regions[0].mask & expected).sum() > 0.8 * expected.sum()
     assert judgement([doubt], TRUE) == {"trusted": False, "doubts": [doubt.words], "in_doubt": []}
+
+
+def test_an_answer_none_of_whose_objects_is_trusted_is_not_either():
+    """A frame was trusted while each of its objects was in doubt for something of its own."""
+    left, right = (Doubt(f"{name} may be clutter", False, about=(name,)) for name in ("left", "right"))
+    assert with_all_in_doubt((left,), TRUE) == (left,) and trusted((left,))
+    *before, last = with_all_in_doubt((left, right), TRUE)
+    assert before == [left, right] and last.words == "each of the objects is in doubt" and not trusted((last,))
+    assert judgement((left, right, last), TRUE)["in_doubt"] == ["left", "right"]
+    assert with_all_in_doubt((), TRUE) == ()
 
 
 def test_what_a_doubt_is_about_is_in_doubt_and_what_stands_on_it():
