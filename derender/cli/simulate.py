@@ -115,10 +115,11 @@ def command(
     of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
     Solids that enter each other deeper than that fall, whichever engine is asked, and a line says which.
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
-    P(stable) and each object's P(falls), with their Monte Carlo errors; of what the search may have missed no draw
-    tells, so that half of that probability counts as stable, and is said. What is said of a folder stands on its page
-    too, with its animation, if in the folder (`derender view`). Several scenes make a table; so do those that -n draws
-    from a prior, which are those of `derender sample PRIOR -n N` with the same seed.
+    P(stable) and each object's P(falls), with their Monte Carlo errors: where k of n draws stand it is (k + 1/2) /
+    (n + 1), for n that agree do not make sure; of what the search may have missed no draw tells, so that half of that
+    probability counts as stable, and is said. What is said of a folder stands on its page too, with its animation, if
+    in the folder (`derender view`). Several scenes make a table; so do those that -n draws from a prior, which are
+    those of `derender sample PRIOR -n N` with the same seed.
 
     Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, whatever their shape, unless the scene file
     says otherwise beside `shape`: mass (kg) or density, friction, elasticity (share of the speed that a bounce gives
@@ -285,7 +286,9 @@ def _lines(found: Any) -> Iterator[Any]:
         yield f"margin {found['margin']:.3f} g"
     missed = told_of_missed(found)
     if found["draws"] > 1 or missed:
-        drawn = f" ± {found['p_stable_error']:.3f} over {found['draws']} draws" if found["draws"] > 1 else ""
+        stood, count = found["draws_stable"], found["draws"]
+        how = f"{stood} of {count} draws stand, and (k + 1/2) / (n + 1) is as sure as they can make it"
+        drawn = f" ± {found['p_stable_error']:.3f}: {how}" if count > 1 else ""
         yield f"P(stable) = {found['p_stable']:.3f}{drawn}" + (f"; {missed}" if missed else "")
         yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())
     rows = [

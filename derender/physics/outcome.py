@@ -309,7 +309,8 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
             return chance_of(drawn, BEFORE[word], missed)
         return chance_of_one(alone, BEFORE[word], missed)
 
-    stable = chance(best.stable, [run.stable for run in runs], STANDS)
+    stood = [run.stable for run in runs]
+    stable = chance(best.stable, stood, STANDS)
     found: dict[str, Any] = {
         "verdict": best.verdict,
         "margin": best.margin,
@@ -326,6 +327,7 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], m
         "first_moved": best.first_moved,
         "assumed": list(assumed),
         "draws": len(runs),
+        "draws_stable": sum(stood),
         "missed": missed,
     }
     for body in best.matter.bodies:

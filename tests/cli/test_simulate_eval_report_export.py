@@ -96,7 +96,7 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     assert fell["p_falls"].startswith("low=0.0") and " top=0.89" in fell["p_falls"]
     assert run(capsys, "simulate", "falls.yaml", "--animate", "fall.glb", "--duration", "0.3")[0] == 0
     assert b'"animations"' in (folder / "fall.glb").read_bytes()
-    assert "over 3 draws" in run(capsys, "simulate", "stack", "--draws", "3")[1]
+    assert "of 3 draws stand" in run(capsys, "simulate", "stack", "--draws", "3")[1]
     for name in ("settled.yaml", "t.csv", "fall.glb"):
         (folder / name).unlink()
 
@@ -137,7 +137,9 @@ def test_simulate_a_posterior(capsys, folder):
     assert json.loads((folder / "out" / "simulation.json").read_text())["p_stable"] == found["p_stable"]
     again = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1", "--jobs", "1")[1])
     assert again["p_stable"] == found["p_stable"]
-    assert "P(stable) = " in run(capsys, "simulate", "out", "--draws", "8")[1]
+    told = run(capsys, "simulate", "out", "--draws", "8")[1]
+    k = json.loads((folder / "out" / "simulation.json").read_text())["draws_stable"]
+    assert f"P(stable) = {(k + 0.5) / 9:.3f} ± " in told and f": {k} of 8 draws stand, and (k + 1/2) / (n + 1)" in told
     for path, told in (("out/moves.gif", "moves.gif"), ("moves.gif", None)):  # the page shows its own only
         run(capsys, "simulate", "out", "--draws", "0", "--duration", "0.2", "--animate", path)
         assert json.loads((folder / "out" / "simulation.json").read_text())["animation"] == told
