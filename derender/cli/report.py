@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, metavar="DIR...")
-@options.output("Where to write the page. Default: report.html in the first DIR.", "FILE.html")
+@options.output(
+    "Where to write the page. Default: report.html in DIR; of several report_together.html in the first.", "FILE.html"
+)
 @click.option("--table/--no-table", default=True, help="Print the table of parameters on stdout.")
 @options.quiet
 def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Talk) -> None:
@@ -34,6 +36,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
         derender simulate results/ && derender report results/
     """
     from derender.report.html import write_report
+    from derender.report.result_folder import TOGETHER
     from derender.report.tables import parameter_table
     from derender.results.trust import trusted, verdict
 
@@ -42,7 +45,8 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     report, name = gathered(folders)
     if output is None:
         place = Path(folders[0])
-        output = str(place / "report.html") if place.is_dir() else f"{name}.html"
+        page = "report.html" if len(folders) == 1 else TOGETHER
+        output = str(place / page) if place.is_dir() else f"{name}.html"
     write_report(output, report)
     talk.say(f"wrote {output}")
     if table and report.parameters:

@@ -18,8 +18,9 @@ from derender.results import trust
 from derender.results.posterior import Posterior
 
 SIMULATION = "simulation.json"  # what `derender simulate` found; of an older result it says nothing about a new one
+TOGETHER = "report_together.html"  # the page about this result and others: the folder has its own besides
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json",
-           "labels.png", "explained.npy", SIMULATION)  # fmt: skip
+           "labels.png", "explained.npy", SIMULATION, TOGETHER)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -234,6 +234,8 @@ def test_report_of_one_and_of_several(capsys, folder):
     replace(posterior, parts=(replace(part, values=part.values[:, ::-1] + 1e-6),)).save("again/posterior.npz")
     run(capsys, *again)
     assert "4 chains of 400 draws" in (folder / "pages" / "both.html").read_text()
+    _, _, talk = run(capsys, "report", "out", "again")  # which overwrote the page about the first
+    assert "wrote out/report_together.html" in talk and (folder / "out" / "report.html").read_text() == text
     write_depth("again/observation.npz", np.ones((48, 64)), CAMERA)
     status, _, talk = run(capsys, *again)  # whose chains were told to disagree
     assert status == 1 and "out, again: these were not inferred from the same image" in talk
