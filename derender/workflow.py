@@ -14,9 +14,8 @@ from derender.atomic import ROOM, make_folder
 from derender.camera.depth_file import DepthImage, Reading
 from derender.camera.intrinsics import Camera
 from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
-from derender.camera.repeats import Enlargement
 from derender.compilation.threads import import_in_background, interruptible
-from derender.detection.scattered import as_made, smaller_image_of
+from derender.detection.resampled import Enlargement, as_made, smaller_image_of
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, Idle, at_fault, idle_lines
 from derender.report.result_folder import Outcome, write_results

@@ -13,7 +13,7 @@ import numpy as np
 from derender.atomic import ROOM, make_folder
 from derender.camera.depth_file import DepthImage, read_depth
 from derender.camera.intrinsics import Camera
-from derender.detection.scattered import smaller_image_of
+from derender.detection.resampled import smaller_image_of
 from derender.errors import DerenderError
 from derender.structures.options import Options
 from derender.tracking.events import events_of

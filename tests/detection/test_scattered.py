@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 import derender
 from derender.camera.intrinsics import Camera
-from derender.detection.scattered import scattering_of, shares_noise
+from derender.detection.resampled import scattering_of, shares_noise
 
 CAMERA = Camera(fx=280.0, fy=280.0, cx=159.5, cy=119.5, width=320, height=240)
 

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 import derender
 from derender.camera.intrinsics import Camera
-from derender.camera.repeats import enlargement_of
 from derender.cli.infer import command
+from derender.detection.resampled import enlargement_of
 from derender.structures.options import Options
 from derender.tracking.run import track_to_folder
 
