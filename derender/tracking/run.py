@@ -20,11 +20,14 @@ from derender.tracking.events import events_of
 from derender.tracking.film import (
     FPS,
     FPS_SPREAD,
+    MISSING,
     Film,
     camera_of,
     checked_fps,
+    counted,
     dark_start,
     frame_files,
+    lacking,
     level_spread,
     other_rate,
     read_film,
@@ -32,8 +35,7 @@ from derender.tracking.film import (
     read_timing,
     shows,
     unreadable,
-)  # fmt: skip
-from derender.tracking.gaps import MISSING, counted, lacking
+)
 from derender.tracking.passes import Passes
 from derender.tracking.result import report_page, write_track
 from derender.tracking.thing import FOLLOWED, GONE, NOT_FOLLOWED, Start, start_from

@@ -11,8 +11,7 @@ from derender.errors import DerenderError
 from derender.scene.pose import from_rotation_vector
 from derender.structures.options import Options
 from derender.tracking import run
-from derender.tracking.film import GRAVITY_SPREAD, LEVEL_SPREAD, frame_files, level_spread, read_film
-from derender.tracking.gaps import counted
+from derender.tracking.film import GRAVITY_SPREAD, LEVEL_SPREAD, counted, frame_files, level_spread, read_film
 from derender.tracking.run import patiently
 
 CAMERA = {"fx": 80, "fy": 80, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
