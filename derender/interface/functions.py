@@ -108,7 +108,7 @@ def infer(
     depth_scale: float | None = None,
     up: str | Sequence[float] | np.ndarray | None = None,
     prior: str | Path | Document | None = None,
-    known: str | Path | Mapping[str, Any] | Scene | None = None,
+    known: str | Path | Mapping[str, Any] | Sequence[Mapping[str, Any]] | Scene | None = None,
     only_known: bool = False,
     method: str = "auto",
     quick: bool = False,
@@ -136,8 +136,8 @@ def infer(
     up : upwards in camera axes (x right, y down, z forward), three numbers or an axis such as "-y"; None: the camera's.
     prior : a scene file with distributions or a built-in prior; None: all is found from the image.
     known : a library of known objects: its file, what stands in it as a mapping such as {"brick": {"type": "box",
-        "length": 0.2, "width": "10 cm", "height": 0.06, "count": 2}}, or a Scene of which each object is there at most
-        once; only_known : there is nothing else.
+        "length": 0.2, "width": "10 cm", "height": 0.06, "count": 2}}, a list of such objects, or a Scene of which each
+        object is there at most once; only_known : there is nothing else.
     method : "auto", "map", "mcmc" or "smc"; quick : the best scene alone, as method="map".
     shapes, max_objects : to look for. floor : "auto", "none" or (a, b, c, d) of its plane in camera axes, metres.
     allow_interpenetration, allow_floating : whether solids may enter each other or hang in the air. assume_stable :
@@ -185,13 +185,20 @@ def infer(
     return Posterior.of(judged(posterior, seen, likelihood, page=False).posterior, seen)
 
 
-def _library(known: str | Path | Mapping[str, Any] | Scene | None) -> Any:
+def _library(known: str | Path | Mapping[str, Any] | Sequence[Mapping[str, Any]] | Scene | None) -> Any:
     """Return what `Options` take for a library of known objects."""
     from derender.structures.known.library import read_library
 
     if isinstance(known, Scene):
         entries = graph_data(known.graph)["objects"]
         known = {name: {**entries[name]["shape"], "count": 1} for name in known.sizes}
+    elif not isinstance(known, str | Path | Mapping | None):
+        if not all(isinstance(each, Mapping) for each in known):
+            raise TypeError(
+                'infer(): known is a list of what are no objects; give such as {"type": "cube", "side": 0.1}'
+            )
+        known = {str(each.get("name", f"known_{k}")): {key: each[key] for key in each if key != "name"}
+                 for k, each in enumerate(known, start=1)}  # fmt: skip
     return known if known is None else read_library(known)
 
 

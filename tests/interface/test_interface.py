@@ -159,11 +159,14 @@ def test_which_way_is_up_can_be_said_of_any_image(image):
 def test_known_objects_are_a_mapping_or_those_of_a_scene(image):
     scene = derender.sample("stack", seed=0)
     entries = {name: {"type": "cube", "side": f"{100 * size[0]} cm"} for name, size in scene.sizes.items()}
-    for known in (entries, scene):
+    listed = [{**entry, "name": name} for name, entry in entries.items()]
+    for known in (entries, listed, scene):
         found = derender.infer(image, known=known, only_known=True, quick=True).objects
         assert sorted(each.name for each in found) == ["green", "red", "yellow"]
     with pytest.raises(DerenderError, match="known, line 2, known.brick.lenght: this key is unknown here; did you"):
         derender.infer(image, known={"brick": {"type": "box", "lenght": 0.2}})
+    with pytest.raises(TypeError, match="known is a list of what are no objects"):
+        derender.infer(image, known=["mug.obj"])
 
 
 def test_a_budget_is_a_time_as_on_the_command_line(image):
