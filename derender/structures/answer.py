@@ -16,7 +16,7 @@ from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Missed
-from derender.structures.case import Case, whole_camera
+from derender.structures.case import Case
 from derender.structures.options import Frame
 from derender.structures.parts import MOST_STRUCTURES, likeliest
 
@@ -107,7 +107,7 @@ def shown_shares(graph: SceneGraph, told: Explanation, depth: np.ndarray, camera
 
     solids, found = graph.solids(), {}
     borne: dict[str, set[str]] = {}
-    valid, camera = np.isfinite(depth) & (depth > 0), whole_camera(camera, depth.shape)
+    valid = np.isfinite(depth) & (depth > 0)
     for vertex in reversed(graph.vertices):  # parents come first
         for on in (vertex.parent, *vertex.supports):
             borne.setdefault(on, set()).update({vertex.name}, borne.get(vertex.name, set()))
@@ -221,7 +221,7 @@ def explanation_of(
             bend = np.where(there, of_whole_image(seen.bend, seen, depth.shape), bend)
     noise, coarse = (max(values) for values in zip(*((s.floor.sigma, s.factor) for s in observations), strict=True))
     hides = any(seen.correlation > CORRELATED for seen in observations)
-    return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse, hides)
+    return explain(graph, depth, camera, noise, behind, bent, bend, coarse, hides)
 
 
 def likelihood_of(

@@ -1,7 +1,7 @@
 """What is asked of one image: its camera, the settings of the search that options ask for, the unit of its lengths."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,22 +50,19 @@ class Case(NamedTuple):
         return self.options.method == "map"
 
 
-def case_of(
-    rng: np.random.Generator, image: np.ndarray, camera: Camera | Mapping[str, float], options: Options
-) -> Case:
+def case_of(rng: np.random.Generator, image: np.ndarray, camera: Camera, options: Options) -> Case:
     """Return the Case of an image; frames from where its own camera stood are averaged with it."""
     from derender.structures.known.library import chosen_library
     from derender.structures.together import averaged
 
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
-    whole = whole_camera(camera, depth.shape)
-    depth, frames = averaged(depth, whole, options.frames)
+    depth, frames = averaged(depth, camera, options.frames)
     wide = fattened(depth)
-    depth = dithered(rng, thinned(depth) if wide else depth, whole)
+    depth = dithered(rng, thinned(depth) if wide else depth, camera)
     frames = [frame._replace(depth=thinned(frame.depth)) if fattened(frame.depth) else frame for frame in frames]
     frames = [frame._replace(depth=dithered(rng, frame.depth, frame.camera)) for frame in frames]
     library = chosen_library(options.known) if options.known else ()
-    return Case(depth, whole, frames, options, settings_of(options), library, read_floor(options.floor), wide)
+    return Case(depth, camera, frames, options, settings_of(options), library, read_floor(options.floor), wide)
 
 
 def unit_of_lengths(case: Case) -> float:
@@ -110,11 +107,3 @@ def settings_of(options: Options) -> Settings:
     return settings._replace(
         may_overlap=settings.may_overlap or options.may_overlap, may_float=settings.may_float or options.may_float
     )
-
-
-def whole_camera(camera: Any, shape: tuple[int, int]) -> Camera:
-    """Return the Camera that a mapping of fx, fy, cx, cy or a Camera is for an image of this shape."""
-
-    if isinstance(camera, Camera):
-        return camera
-    return Camera(**{**camera, "width": shape[1], "height": shape[0]})

@@ -1,6 +1,6 @@
 """From a bare depth image to a posterior over scene graphs: search, weigh and draw, complete, say what is left open."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -43,7 +43,7 @@ Progress = Callable[[float, str], None]
 
 def infer_structure(
     image: np.ndarray,
-    camera: Camera | Mapping[str, float],
+    camera: Camera,
     options: Options | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
@@ -51,7 +51,6 @@ def infer_structure(
     """Infer which solids are there and what rests on what.
 
     image : (H, W) float metres, NaN or 0 = no return.
-    camera : Camera, or a mapping with fx, fy, cx, cy.
     options : Options; None: all as it comes.
     rng : of random numbers; None: made from the options' seed. progress : called with (fraction done, message).
 

@@ -37,7 +37,7 @@ from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, writte
 from derender.scene.shapes import shapes
 from derender.scene.shapes.kinds import ROTATIONS
 from derender.structures.answer import explanation_of
-from derender.structures.case import settings_of, whole_camera
+from derender.structures.case import settings_of
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
 from derender.structures.jumps.proposal import About, Component, Hypothesis, HypothesisProposal, vertex_of
 from derender.structures.options import Options
@@ -159,7 +159,6 @@ def infer_by_jumps(
     Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
     rng = np.random.default_rng(options.seed) if rng is None else rng
-    camera = whole_camera(camera, image.shape)
     if progress:
         progress(0.0, "searching for solids")
     plane = read_floor(options.floor)
