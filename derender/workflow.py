@@ -336,7 +336,6 @@ def _bare(
 
     precompile("draws")
     rng, told = np.random.default_rng(options.seed), _importing(progress)
-    options = with_library(options)
     if document is not None and options.method == "mcmc":
         from derender.structures.jumps.run import infer_by_jumps
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,7 +53,7 @@ class Case(NamedTuple):
 
 def case_of(rng: np.random.Generator, image: np.ndarray, camera: Camera, options: Options) -> Case:
     """Return the Case of an image; frames from where its own camera stood are averaged with it."""
-    from derender.structures.known.library import chosen_library
+    from derender.structures.known.library import read_library
     from derender.structures.together import averaged
 
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
@@ -61,7 +62,8 @@ def case_of(rng: np.random.Generator, image: np.ndarray, camera: Camera, options
     depth = dithered(rng, thinned(depth) if wide else depth, camera)
     frames = [frame._replace(depth=thinned(frame.depth)) if fattened(frame.depth) else frame for frame in frames]
     frames = [frame._replace(depth=dithered(rng, frame.depth, frame.camera)) for frame in frames]
-    library = chosen_library(options.known) if options.known else ()
+    known = options.known or ()
+    library = read_library(known) if isinstance(known, str | Path) else tuple(known)
     return Case(depth, camera, frames, options, settings_of(options), library, read_floor(options.floor), wide)
 
 

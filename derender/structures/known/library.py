@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.detection.solids.image import SIZE, make_row, rotation_of
-from derender.errors import DerenderError
 from derender.render.raycast.depth import Meshes, flat_meshes
 from derender.scene.codec.yaml_tree import parse_yaml, read_yaml, to_yaml
 from derender.scene.pose import rotation_z
@@ -135,16 +134,6 @@ def read_library(given: str | Path | Mapping[str, Any]) -> tuple[Known, ...]:
     if not library:
         raise top["known"].fault("no objects are listed", "below known: write name: {type: ..., ...}")
     return tuple(library)
-
-
-def chosen_library(given: Any) -> tuple[Known, ...]:
-    """Return the library for an option: a path, or objects already read."""
-    if isinstance(given, str | Path):
-        return read_library(given)
-    library = tuple(given)
-    if not all(isinstance(item, Known) for item in library):
-        raise DerenderError("not a library of known objects", remedy="give its file")
-    return library
 
 
 GAP = 0.006  # metres between neighbours, at most
