@@ -4,7 +4,6 @@ The same YAML serves every command.  `read_document` reads it, `write_document` 
 again gives the same floats, bit for bit.
 """
 
-import math
 import os
 import re
 import sys
@@ -26,7 +25,7 @@ from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml,
 from derender.scene.distributions import Distribution
 from derender.scene.graph import STANDARD_GRAVITY, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, quaternion
-from derender.scene.priors.objects import QUATERNION, ROTATION, Value, check_range, draw, log_density
+from derender.scene.priors.objects import QUATERNION, ROTATION, Value, check_range, draw
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.tree import Prior, TreePrior
 from derender.scene.shapes import shapes
@@ -58,10 +57,6 @@ class LikelihoodPrior:
         return replace(
             self, values=self.sample(rng), drawn={name: draw(value, rng) for name, value in self.drawn.items()}
         )
-
-    def log_density(self, values: Mapping[str, float]) -> float:
-        """Return the log density of the parameters."""
-        return math.fsum(log_density(value, values[name]) for name, value in self.values.items())
 
     @property
     def fixed(self) -> dict[str, float]:

@@ -169,9 +169,6 @@ class Section(Node):
     def __contains__(self, key: object) -> bool:
         return key in self.nodes
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.nodes)
-
     def __len__(self) -> int:
         return len(self.nodes)
 
