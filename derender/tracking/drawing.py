@@ -3,6 +3,7 @@
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.windows import greatest
 from derender.render.blur import blur_taps
 from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
@@ -209,6 +210,11 @@ class Drawing:
         """Return the share of thing k's pixels that no hand hides."""
         fitting.pixels_of(self.misfit, self.counts, OFF)
         return float(self.counts[self.planes + k, 1] / max(int((self.owner() == self.planes + k).sum()), 1))
+
+    def touched(self, k: int) -> bool:
+        """Whether what reaches in is at thing k: then its outline may be partly the hand's."""
+        mine = self.owner() == self.planes + k
+        return bool((greatest(mine, MARGIN) & self.hand).any())
 
     def left_behind(self, k: int) -> bool:
         """Whether many pixels beside thing k are nearer than anything drawn there."""

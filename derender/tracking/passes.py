@@ -313,7 +313,7 @@ class Smoother:
         _, pose, curvature = min(found, key=lambda each: each[0])
         told, grown = np.zeros((count, count)), np.zeros(count)
         thing.pose = inverse(tracker.view) @ pose
-        if grows:
+        if grows and not tracker.touched(k):  # else its outline may be partly the hand's
             tracker.draw(k, thing.pose)
             _, whole = tracker.fit(k, thing.pose, information, free=True)
             image = whole - information

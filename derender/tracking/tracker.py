@@ -108,7 +108,7 @@ class Tracker(Drawing):
         thing, index = self.things[k], self.planes + k
         thing.pose = inverse(self.view) @ self.poses[index]
         covariance = np.linalg.inv(self.turned(curvature, back=True) + 1e-6 * np.eye(len(curvature)))
-        if len(covariance) < len(thing.covariance) or self.unexplained(k):  # wrong fits must not tell what size it is
+        if len(covariance) < len(thing.covariance) or self.touched(k) or self.unexplained(k):  # tells no size
             thing.covariance[:6, :6] = covariance[:6, :6]
             thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
             return
