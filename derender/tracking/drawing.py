@@ -1,5 +1,8 @@
 """What is drawn of the things that are followed, how it compares with the present frame, and fits of one of them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from derender.camera.intrinsics import Camera
@@ -94,14 +97,15 @@ class Drawing:
             self.misfit.floor[self.hand] = np.exp(-PRICE)
             fitting.look(self.misfit, self.observed, self.spread)
 
-    def cost_without_hand(self) -> float:
-        """Return the cost of the image but for the pixels that may show a hand."""
+    @contextmanager
+    def without_hand(self) -> Iterator[None]:
+        """Compare what is drawn with the image but for the pixels that may show a hand."""
         if not self.hand.any():
-            return float(cost(self.misfit, self.poses, self.sizes))
+            yield
+            return
         fitting.look(self.misfit, np.where(self.hand, 0.0, self.observed), self.spread)
-        total = float(cost(self.misfit, self.poses, self.sizes))
+        yield
         fitting.look(self.misfit, self.observed, self.spread)
-        return total
 
     def owner(self) -> np.ndarray:
         """Return (H, W) the number of the solid that each pixel shows, -1 for none."""

@@ -23,7 +23,7 @@ from derender.camera.intrinsics import Camera
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, moved
 from derender.tracking.contact import gaps_of
-from derender.tracking.drawing import DEVIATION
+from derender.tracking.drawing import DEVIATION, ROUNDS
 from derender.tracking.film import shows
 from derender.tracking.fit import RIGID
 from derender.tracking.path import change_between, smooth_path
@@ -171,6 +171,7 @@ class Fit(NamedTuple):
 
     pose: np.ndarray  # (4, 4), world
     curvature: np.ndarray  # (6, 6), its precision
+    spread: np.ndarray  # (6, 6), its covariance beside that of its size, camera axes
     told: np.ndarray  # (G, G), precision of the numbers of its size
     grown: np.ndarray  # (G,), that times by how much they should grow
 
@@ -214,8 +215,7 @@ class Smoother:
             for k in self.movers:
                 mine = [frame.get(k) for frame in fits]
                 self._rest(k, mine)
-                if number < SWEEPS - 1:
-                    self._grow(k, mine)
+                (self._grow if number < SWEEPS - 1 else self._spread)(k, mine)
         self._bridge()
         for t, (_, recorder, n) in enumerate(self.rows):
             change, seen = self._place(t) - self.before[t], recorder.seen[n]
@@ -292,7 +292,8 @@ class Smoother:
         tracker.see(self.frames[frame])
         cost(tracker.misfit, tracker.poses, tracker.sizes)
         tracker.take_hand()
-        return tracker.cost_without_hand()
+        with tracker.without_hand():
+            return float(cost(tracker.misfit, tracker.poses, tracker.sizes))
 
     def _fit(self, t: int, k: int, grows: bool) -> Fit:
         """Fit thing k to frame t, which is drawn, from its place there and from the likeliest of those beside it; leave
@@ -308,22 +309,29 @@ class Smoother:
         found = []
         for start in (self.poses[t, k], *sorted(others, key=lambda pose: tracker.draw(k, pose))[:1]):
             tracker.draw(k, start)
-            _, curvature = tracker.fit(k, start, information, free=False)
+            with tracker.without_hand():
+                _, curvature = tracker.fit(k, start, information, free=False)
             found.append((tracker.price(k), tracker.poses[index].copy(), curvature))
         _, pose, curvature = min(found, key=lambda each: each[0])
         told, grown = np.zeros((count, count)), np.zeros(count)
         thing.pose = inverse(tracker.view) @ pose
-        if grows and not tracker.touched(k):  # else its outline may be partly the hand's
-            tracker.draw(k, thing.pose)
-            _, whole = tracker.fit(k, thing.pose, information, free=True)
-            image = whole - information
+        tracker.draw(k, thing.pose)
+        grows = grows and not tracker.touched(k)  # else its outline may be partly the hand's
+        with tracker.without_hand():
+            _, whole = tracker.fit(k, thing.pose, information, free=True, rounds=ROUNDS if grows else 1)
+        image = whole - information
+        total = np.array(image)
+        total[:RIGID, :RIGID] += information[:RIGID, :RIGID]
+        total[RIGID:, RIGID:] += np.linalg.inv(thing.covariance[RIGID:, RIGID:])
+        spread = np.linalg.inv(total)[:RIGID, :RIGID]
+        if grows:
             across = image[RIGID:, :RIGID]
             told = image[RIGID:, RIGID:] - across @ np.linalg.solve(whole[:RIGID, :RIGID], across.T)
             step = (tracker.sizes[index] - thing.size) @ thing.ties.T / thing.ties.sum(axis=1)
             grown = (told + information[RIGID:, RIGID:]) @ step  # what it was held back by is no news
             told[stands], told[:, stands], grown[stands] = 0.0, 0.0, 0.0
         tracker.draw(k, thing.pose)
-        return Fit(thing.pose, tracker.turned(curvature, back=True), told, grown)
+        return Fit(thing.pose, tracker.turned(curvature, back=True), spread, told, grown)
 
     def _stands(self, t: int, k: int) -> np.ndarray:
         """Return which of the numbers of thing k's size (G,) are its height alone, where it stands in frame t."""
@@ -353,6 +361,17 @@ class Smoother:
                     break
                 self.states[first if worst == 0 else end - 1, k] = MOVING
                 first, end = first + (worst == 0), end - (worst == -1)
+
+    def _spread(self, k: int, fits: list[Fit | None]) -> None:
+        """Give thing k the covariance of each frame's fit, and where it rests that of the fit that tells most."""
+        spreads = {t: fit.spread for t, fit in enumerate(fits) if fit is not None}
+        wide = {t: float(np.linalg.slogdet(spread)[1]) for t, spread in spreads.items()}
+        still = self.states[:, k] == STILL
+        for rest in np.split(np.arange(len(still)), np.flatnonzero(~(still[1:] & still[:-1])) + 1):
+            known = [t for t in rest if t in spreads]  # all of one rest, or one frame
+            for t in known:
+                _, recorder, n = self.rows[t]
+                recorder.seen[n].covariances[k] = spreads[min(known, key=wide.__getitem__)]
 
     def _grow(self, k: int, fits: list[Fit | None]) -> None:
         """Give thing k the size that all frames and what was known before tell together.

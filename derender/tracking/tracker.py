@@ -467,7 +467,8 @@ class Tracker(Drawing):
                 covariances[k] = self.turned(thing.covariance[:6, :6])
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
-        total = self.cost_without_hand() + self.price_of_motion * self.start.temper
+        with self.without_hand():
+            total = float(cost(self.misfit, self.poses, self.sizes)) + self.price_of_motion * self.start.temper
         return Seen(
             poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), np.zeros((BAND, 0)),
             self.rounds, blobs, total, int(np.count_nonzero((self.observed > 0) & ~self.hand)),

@@ -113,6 +113,7 @@ def test_a_frame_that_seems_to_tell_a_hundred_times_what_others_do_does_not_keep
     fits = [None] * FRAMES
     for t in moving:
         told = np.diag([1e6, 0.0, 0.0]) if t != moving[1] else np.diag([200e6, 0.0, 0.0])  # 1 mm, or a tenth of it
-        fits[t] = Fit(smoother.poses[t, 0], np.eye(6), told, told[0] * (-0.004 if t != moving[1] else 0.0))
+        grown = told[0] * (-0.004 if t != moving[1] else 0.0)
+        fits[t] = Fit(smoother.poses[t, 0], np.eye(6), np.eye(6), told, grown)
     smoother._grow(0, fits)
     assert len(moving) > 5 and 0.0 < thing.size[0] - SIZE[0] < 0.002

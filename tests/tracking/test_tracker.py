@@ -226,6 +226,20 @@ def test_a_thing_does_not_grow_by_the_hand_that_holds_it():
     assert np.abs(sizes - [[0.06, 0.07, 0.08], [0.08, 0.06, 0.05]]).max() < 0.0015
 
 
+def test_what_a_hand_holds_is_off_by_no_more_than_its_covariances_say():
+    """The hand's own outline counted as telling where the box is: errors were up to eight times what they should be."""
+    times = np.arange(32)
+    reach = np.interp(times, [2, 8, 24, 30], [-0.25, 0.0, 0.0, -0.25])
+    up, scores = np.interp(times, [8, 16, 24], [0.0, 0.05, 0.0]), []
+    for seed in (1, 2):
+        frames, poses, beginning = hand_film(seed, reach, [at(0, -1.2 * u, 0.04 + u) for u in up])
+        found = Passes(frames, CAMERA, GRAVITY, 1 / FPS, lambda _, first=beginning: first).best()
+        track, held = found.track(times / FPS, []), slice(9, 24)
+        off = track.poses[held, 0, :3, 3] - poses[held, 0, :3, 3]
+        scores += [o @ np.linalg.solve(c, o) / 3 for o, c in zip(off, track.covariances[held, 0, :3, :3], strict=True)]
+    assert 0.1 < np.mean(scores) < 1.5
+
+
 def test_what_was_at_the_border_from_the_start_is_no_hand():
     """What a search had missed there was one in every frame, and made what stood beside it unsure."""
     frames, _, beginning = hand_film(5, [-0.25, -0.25, 0.06], [at(0, 0, 0.04)] * 3)
