@@ -262,7 +262,8 @@ def cost_about(misfit, k, margin):
         for column in range(max(rectangle[0] - margin, 0), min(rectangle[1] + margin, width)):
             precision = misfit.precision[row, column]
             if precision > 0.0:
-                r, floor = misfit.blurred[row, column] - misfit.observed[row, column], misfit.floor[row, column]
+                r = misfit.blurred[row, column] - misfit.observed[row, column]
+                floor = misfit.floor[row, column] if r > 0.0 else usual
                 if hides(-r * math.sqrt(precision), floor, usual):
                     continue
                 total -= math.log((math.exp(-min(0.5 * precision * r * r, 700.0)) + floor) / (1.0 + floor))

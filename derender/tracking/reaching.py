@@ -21,7 +21,7 @@ PRICE = 2.0
 # wrong, at contacts and edges; a finger is thicker.
 OFF, AT_LEAST = 5.0, 0.008
 SMALLEST = 60  # pixels: less is noise, or what enters
-OUTLINE = 3  # pixels about it that may show it too: where it touches something it is hardly nearer
+OUTLINE = 2  # pixels about it that may show it too: where it touches something it is hardly nearer
 AT_BORDER = 3  # pixels at the border: more than noise and a thing's corner
 
 

@@ -12,10 +12,11 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import inverse, rotation_angle
 from derender.scene.solids import BOX, Solids
 from derender.tracking import fit
-from derender.tracking.drawing import Drawing
+from derender.tracking.drawing import LIMIT, Drawing
 from derender.tracking.events import events_of
 from derender.tracking.hidden import Hidden, blobs_of, carried
 from derender.tracking.passes import Passes
+from derender.tracking.reaching import PRICE
 from derender.tracking.track import FREE_FORM, Recorder
 from derender.tracking.tracker import QUARTERS, Tracker
 
@@ -238,6 +239,18 @@ def test_what_a_hand_holds_is_off_by_no_more_than_its_covariances_say():
         off = track.poses[held, 0, :3, 3] - poses[held, 0, :3, 3]
         scores += [o @ np.linalg.solve(c, o) / 3 for o, c in zip(off, track.covariances[held, 0, :3, :3], strict=True)]
     assert 0.1 < np.mean(scores) < 1.5
+
+
+def test_nothing_is_seen_through_a_hand():
+    """A thing drawn before a hand cost as little as one behind it: a box went up the arm that was to lift it."""
+    frames, _, beginning = hand_film(5, [-0.6], [at(0, 0, 0.04)])
+    drawing, costs = Drawing(CAMERA, beginning, frames[0], moving_camera=False), []
+    drawing.misfit.floor[:] = np.exp(-PRICE)
+    drawn = drawing.misfit.blurred.copy()
+    for nearer in (0.1, -0.1):
+        fit.look(drawing.misfit, drawn - nearer, np.full(drawn.shape, films.NOISE))
+        costs.append(cost(drawing.misfit, drawing.poses, drawing.sizes) / drawn.size)
+    assert costs == pytest.approx([PRICE, LIMIT], abs=0.13)
 
 
 def test_what_was_at_the_border_from_the_start_is_no_hand():

@@ -245,7 +245,7 @@ class Misfit(NamedTuple):
     observed: np.ndarray  # (H, W) float64 metres, any number where missing
     precision: np.ndarray  # (H, W) float64, 1 / sigma^2, 0 where missing
     numbers: np.ndarray  # (2,) float64, the background depth and the limit of the robust cost (infinite: normal)
-    floor: np.ndarray  # (H, W) float64, exp(-limit) of each pixel, which a caller may raise
+    floor: np.ndarray  # (H, W) float64, exp(-limit) of what is observed nearer than drawn, which a caller may raise
     taps: np.ndarray  # (R + 1,) float64, of the blur
     window: np.ndarray  # (4,) int64, all pixels
     row_costs: np.ndarray  # (H,) float64, of each row
@@ -330,7 +330,7 @@ def cost(misfit, poses, sizes):
 def compare_rows(misfit, top, bottom):
     """Compare the rows from `top` to `bottom` of the blurred image with the observed one: costs, weights, residuals."""
     width = misfit.observed.shape[1]
-    normal = math.isinf(misfit.numbers[LIMIT])
+    normal, usual = math.isinf(misfit.numbers[LIMIT]), math.exp(-misfit.numbers[LIMIT])
     for row in range(top, bottom):
         total = 0.0
         if normal:
@@ -343,7 +343,7 @@ def compare_rows(misfit, top, bottom):
         else:
             for column in range(width):
                 r = misfit.blurred[row, column] - misfit.observed[row, column]
-                weight, floor = misfit.precision[row, column], misfit.floor[row, column]
+                weight, floor = misfit.precision[row, column], misfit.floor[row, column] if r > 0.0 else usual
                 inlier = math.exp(-min(0.5 * weight * r * r, 700.0))
                 total += math.log((1.0 + floor) / (inlier + floor))
                 weight *= inlier / (inlier + floor)
