@@ -12,7 +12,7 @@ from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
-from derender.tracking.reaching import PRICE, bare_noise, nearer, reaching
+from derender.tracking.reaching import PRICE, bare_noise, nearer, never_seen, reaching
 from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
@@ -38,7 +38,8 @@ class Drawing:
     camera : Camera. start : thing.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
     kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
     misfit : Misfit. clean : (H, W) metres, 0 where nothing returned; observed : the same, 0 where the backdrop is, too;
-    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth. left_out : (H, W) metres, what it
+    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth; beyond : where it
+    has none from the border on. left_out : (H, W) metres, what it
     shows before what is drawn, inf elsewhere. hand : (H, W) bool, what reaches in from the border. backdrop : (H, W)
     depth of what lies behind and is no floor.
     rounds : sets of normal equations so far.
@@ -50,6 +51,7 @@ class Drawing:
         self.backdrop: np.ndarray | None = None
         self.rounds = 0
         self.returned = np.isfinite(depth) & (depth > 0) & (not moving_camera)
+        self.beyond = never_seen(depth) & (not moving_camera)
         self.allocate(depth)
         self.see(depth)
         cost(self.misfit, self.poses, self.sizes)

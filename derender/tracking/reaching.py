@@ -46,18 +46,31 @@ def patches(near: np.ndarray, bridge: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return marks, np.bincount(marks.ravel(), weights=near.ravel(), minlength=count + 1)
 
 
+def at_border(marks: np.ndarray, count: int) -> np.ndarray:
+    """Return how many pixels at the border each of so many patches (H, W) has: (count,)."""
+    border = np.concatenate([marks[0], marks[-1], marks[:, 0], marks[:, -1]])
+    return np.bincount(border, minlength=count)
+
+
+def never_seen(depth: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: where a first frame (H, W), metres, returns nothing from the image's border on."""
+    void = ~(depth > 0)
+    marks, sizes = patches(void, void)
+    return void & (at_border(marks, len(sizes)) >= AT_BORDER)[marks] & (marks > 0)
+
+
 def reaching(drawing: "Drawing") -> np.ndarray:
     """Return (H, W) bool: what is nearer than all that is drawn, and than what the first frame shows before that, and
     hangs together with the image's border, and OUTLINE about it.
 
-    Where nothing returns now, and something did in the first frame, it may be nearer than the sensor sees.
+    Where nothing returns now, and something did in the first frame, it may be nearer than the sensor sees; where
+    nothing did from the border on, as the floor is too far there, it comes from beyond that.
     """
     near = nearer(drawing, np.minimum(drawing.misfit.blurred, drawing.left_out), bare_noise(drawing))
     if int(near.sum()) < SMALLEST:
         return np.zeros(near.shape, bool)
-    dark = (drawing.clean == 0) & drawing.returned
+    dark = (drawing.clean == 0) & (drawing.returned | drawing.beyond)
     marks, sizes = patches(near, dark)
-    border = np.concatenate([marks[0], marks[-1], marks[:, 0], marks[:, -1]])
-    large = (sizes >= SMALLEST) & (np.bincount(border, minlength=len(sizes)) >= AT_BORDER)
+    large = (sizes >= SMALLEST) & (at_border(marks, len(sizes)) >= AT_BORDER)
     large[0] = False
     return greatest(near & large[marks], OUTLINE)

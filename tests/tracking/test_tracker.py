@@ -253,6 +253,17 @@ def test_nothing_is_seen_through_a_hand():
     assert costs == pytest.approx([PRICE, LIMIT], abs=0.13)
 
 
+def test_a_hand_comes_from_where_the_first_frame_shows_nothing_too():
+    """Over a floor that ends beyond the sensor's reach no arm came to the border, and a cylinder became the arm."""
+    frames, _, beginning = hand_film(5, [-0.6, 0.06], [at(0, 0, 0.04)] * 2)
+    frames[:, :, :8] = 0.0
+    frames[0, 40:50, 60:70] = 0.0  # where a thing returns nothing is no border
+    drawing = Drawing(CAMERA, beginning, frames[0], moving_camera=False)
+    drawing.see(frames[1])
+    drawing.take_hand()
+    assert drawing.hand.sum() > 300 and drawing.beyond.sum() == 8 * len(frames[0])
+
+
 def test_what_was_at_the_border_from_the_start_is_no_hand():
     """What a search had missed there was one in every frame, and made what stood beside it unsure."""
     frames, _, beginning = hand_film(5, [-0.25, -0.25, 0.06], [at(0, 0, 0.04)] * 3)
