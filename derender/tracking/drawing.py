@@ -6,13 +6,13 @@ from contextlib import contextmanager
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.camera.windows import greatest
+from derender.camera.windows import greatest, least
 from derender.render.blur import blur_taps
 from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
-from derender.tracking.reaching import PRICE, bare_noise, nearer, never_seen, reaching
+from derender.tracking.reaching import OUTLINE, PRICE, PRICE_STILL, bare_noise, nearer, never_seen, reaching
 from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
@@ -92,12 +92,21 @@ class Drawing:
         self.observed = clean
         fitting.look(self.misfit, clean, spread)
 
-    def take_hand(self) -> None:
-        """Find the hand in the present frame by what is drawn; its pixels tell less from now on."""
+    def take_hand(self, before: np.ndarray | None = None) -> None:
+        """Find the hand in the present frame by what is drawn; its pixels tell less from now on.
+
+        before : (H, W) bool, what has shown it in the frame before, too.
+        """
         self.hand = reaching(self)
         if self.hand.any():
             self.misfit.floor[self.hand] = np.exp(-PRICE)
+            if before is not None:
+                self.misfit.floor[self.hand & before] = np.exp(-PRICE_STILL)
             fitting.look(self.misfit, self.observed, self.spread)
+
+    def hand_inside(self) -> np.ndarray:
+        """Return (H, W) bool: what shows a hand in the present frame as all is drawn now, but for its rim."""
+        return least(reaching(self), 2 * OUTLINE) if self.hand.any() else self.hand
 
     @contextmanager
     def without_hand(self) -> Iterator[None]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 # Nats of a pixel that shows what reaches in. A thing that comes to lie there gains no more, but where it was it loses
 # up to drawing.LIMIT at each pixel that shows it still.
 PRICE = 2.0
+PRICE_STILL = 0.0  # nats, of one that has shown it in the frame before, too: no thing is there now
 # Standard deviations, and metres besides, nearer than what is drawn: more than noise, and than a pose that is a little
 # wrong, at contacts and edges; a finger is thicker.
 OFF, AT_LEAST = 5.0, 0.008

@@ -407,7 +407,7 @@ class Tracker(Drawing):
 
     def advance(self, depth: np.ndarray) -> Seen:
         """Follow everything into the next frame (H, W), metres, 0 or NaN where nothing returned."""
-        self.rounds = 0
+        self.rounds, self.hand_before = 0, self.hand_inside()
         self.see(depth)
         if self.moving_camera:
             self._find_camera()
@@ -421,7 +421,7 @@ class Tracker(Drawing):
         moving = [k for k, thing in enumerate(self.things) if thing.state in (MOVING, HIDDEN) and thing.here]
         for k in moving:
             self.draw(k, self._expected(self.things[k]))
-        self.take_hand()
+        self.take_hand(self.hand_before)
         for k in sorted(moving, key=lambda k: self.poses[self.planes + k, 2, 3]):
             self._follow(k)
         cost(self.misfit, self.poses, self.sizes)

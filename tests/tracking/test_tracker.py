@@ -16,7 +16,7 @@ from derender.tracking.drawing import LIMIT, Drawing
 from derender.tracking.events import events_of
 from derender.tracking.hidden import Hidden, blobs_of, carried
 from derender.tracking.passes import Passes
-from derender.tracking.reaching import PRICE
+from derender.tracking.reaching import PRICE, PRICE_STILL
 from derender.tracking.track import FREE_FORM, Recorder
 from derender.tracking.tracker import QUARTERS, Tracker
 
@@ -262,6 +262,17 @@ def test_a_hand_comes_from_where_the_first_frame_shows_nothing_too():
     drawing.see(frames[1])
     drawing.take_hand()
     assert drawing.hand.sum() > 300 and drawing.beyond.sum() == 8 * len(frames[0])
+
+
+def test_what_has_shown_a_hand_before_is_no_news_of_a_thing():
+    """Things that a hand came over were drawn on fingers and wrist that had been there for frames."""
+    frames, _, beginning = hand_film(5, [-0.6, 0.06, 0.06], [at(0, 0, 0.04)] * 3)
+    recorder = Recorder(frames[0], CAMERA, beginning, GRAVITY, 1 / FPS)
+    prices = []
+    for frame in frames[1:]:
+        recorder.advance(frame)
+        prices.append(-np.log(recorder.tracker.misfit.floor[recorder.tracker.hand_inside()]))
+    assert np.unique(prices[0]).tolist() == [PRICE] and np.mean(prices[1] == PRICE_STILL) > 0.9
 
 
 def test_what_was_at_the_border_from_the_start_is_no_hand():
