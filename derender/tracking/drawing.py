@@ -207,6 +207,20 @@ class Drawing:
         self.loosen(False)
         return self.fit(k, start, information, free=free)[1]
 
+    def fit_beside_hand(self, k: int, start: np.ndarray, information: np.ndarray) -> np.ndarray:
+        """Fit thing k from a pose in the world; return the curvature.
+
+        By its outline first, but not at once where a hand is at it: it would take the hand's for its own.
+        """
+        self.draw(k, start)
+        if self.touched(k):
+            self.loosen(False)
+            curvature = self.fit(k, start, information, free=True)[1]
+            if not self.unexplained(k):
+                return curvature
+            self.draw(k, start)
+        return self.fit_from_afar(k, start, information)
+
     def outside(self, k: int) -> bool:
         """Whether thing k is drawn outside the image."""
         centre = self.poses[self.planes + k, :3, 3]

@@ -170,7 +170,7 @@ class Tracker(Drawing):
             thing.hidden = one_frame_later(thing.hidden, self, k)
         expected = self._expected(thing)
         self.draw(k, expected)
-        if thing.state == MOVING and self.unexplained(k):
+        if thing.state == MOVING and (self.touched(k) or self.unexplained(k)):
             expected = self._ranked(k, self._predictions(thing))[0]
             self.draw(k, expected)
         _, curvature = self.fit(k, expected, information, free=True)
@@ -245,9 +245,7 @@ class Tracker(Drawing):
 
         A box may roll by a quarter on its way to where it slid: it is as it is expected unless that is TURNED worse.
         """
-        index = self.planes + k
-        self.draw(k, start)
-        curvature = self.fit_from_afar(k, start, information)
+        index, curvature = self.planes + k, self.fit_beside_hand(k, start, information)
         value, found = self.price(k), (self.poses[index].copy(), self.sizes[index].copy(), curvature)
         if self.things[k].kind != BOX:
             return value, found

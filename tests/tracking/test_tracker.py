@@ -275,6 +275,23 @@ def test_what_has_shown_a_hand_before_is_no_news_of_a_thing():
     assert np.unique(prices[0]).tolist() == [PRICE] and np.mean(prices[1] == PRICE_STILL) > 0.9
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_what_a_hand_is_at_is_sought_near_where_it_was_and_standing_still_too(held):
+    """An outline that may be off by pixels led from a box to the hand; what was lifted went on where the hand stopped,
+    for where it was expected no image was unexplained."""
+    frames, poses = film(np.random.default_rng(0), ["box"], [BOX_A], [[at(0.01 * t, 0, 0.035)] for t in range(2)])
+    tracker = Tracker(CAMERA, start(["box"], [BOX_A], poses[0]), frames[0], GRAVITY, 1 / FPS)
+    tracker.things[0].state = "moving"
+    tracker.touched, tracker.unexplained, asked = (lambda k: held), (lambda k: False), []
+    for name in ("loosen", "_predictions"):
+        method = getattr(tracker, name)
+        setattr(tracker, name, lambda given, name=name, method=method: (asked.append((name, given)), method(given))[1])
+    tracker.advance(frames[1])
+    assert [name for name, _ in asked] == ["_predictions"] * held
+    tracker._tried(0, tracker.things[0].pose, tracker.things[0].pose, np.eye(9))
+    assert (("loosen", True) in asked) != held
+
+
 def test_what_was_at_the_border_from_the_start_is_no_hand():
     """What a search had missed there was one in every frame, and made what stood beside it unsure."""
     frames, _, beginning = hand_film(5, [-0.25, -0.25, 0.06], [at(0, 0, 0.04)] * 3)
