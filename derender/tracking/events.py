@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from derender.scene.solids import CYLINDER, SPHERE
+from derender.tracking.contact import SLACK_AT_REST, gaps_of
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL
 from derender.tracking.track import Track
 
@@ -38,7 +39,8 @@ def events_of(track: Track) -> list[dict[str, Any]]:
         still = np.array([row[k] == STILL for row in track.states])
         borne = np.array([row[k] is not None for row in parents])
         aloft = ~borne & np.isfinite(heights)
-        bounces = [t for t in range(1, len(heights) - 1) if aloft[t - 1 : t + 2].any() and _bounces(heights, speeds, t)]
+        turns = [t for t in range(1, len(heights) - 1) if aloft[t - 1 : t + 2].any() and _bounces(heights, speeds, t)]
+        bounces = [t for t in turns if _meets(track, t, k, np.abs(np.diff(heights[t - 1 : t + 2])).max())]
         over = topples(track.poses[:, k], floors[:, :3, 2], int(track.kinds[k]), still, borne)
         left = ""  # how it left what it rested on before
         for t in range(len(track.times)):
@@ -117,6 +119,13 @@ def _bounces(heights: np.ndarray, speeds: np.ndarray, t: int) -> bool:
     """Whether a thing is lowest at frame t and comes down before, and goes up after that."""
     lowest = heights[t] <= heights[t - 1] and heights[t] < heights[t + 1]
     return bool(lowest and np.nanmin(speeds[max(t - 1, 1) : t + 1]) < DOWNWARD and max(speeds[t + 1 : t + 3]) > UPWARD)
+
+
+def _meets(track: Track, t: int, k: int, way: float) -> bool:
+    """Whether thing k meets something below it within the metres that it goes up or down in a frame about frame t: a
+    hand turns it back anywhere. Without a floor that may be whatever is not seen."""
+    gaps = gaps_of(track.poses[t], track.sizes[t], track.kinds, track.floors()[t])
+    return track.floor is None or bool(gaps[k].min() < way + SLACK_AT_REST)
 
 
 def _falls_freely(times: np.ndarray, heights: np.ndarray, aloft: np.ndarray, bounces: list[int], t: int) -> bool:

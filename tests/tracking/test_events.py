@@ -59,6 +59,7 @@ def words_of(heights, parents, fps=30.0):
     chances[np.arange(count), 0, [0 if parent is None else 1 for parent in parents]] = 1.0
     track = SimpleNamespace(
         names=["ball"], kinds=np.array([SPHERE]), times=np.arange(count) / fps, poses=poses,
+        sizes=np.full((count, 1, 3), 0.02), floor=np.eye(4),
         states=[["moving"]] * count, parents=lambda: [[parent] for parent in parents],
         floors=lambda: np.tile(np.eye(4), (count, 1, 1)), parent_probability=chances,
     )  # fmt: skip
@@ -77,6 +78,15 @@ def test_what_a_hand_brings_down_fast_is_placed():
     """From a hover over 12 cm in a quarter of a second: it was said to land, as at .65 m/s."""
     heights = np.array([116, 116, 114, 98, 71, 41, 15, 0, 0, 0]) / 1e3
     assert words_of(0.01 + heights, [None] * 7 + ["floor"] * 3, 24.0) == [(7, "placed")]
+
+
+def test_what_a_hand_turns_back_in_the_air_does_not_bounce():
+    """Carried up and down 10 cm above the floor it was said to bounce, and to land at last; nearer it may have."""
+    heights = np.array([0, 60, 130, 150, 125, 100, 120, 150, 130, 90, 60, 40, 25, 12, 5, 0, 0, 0]) / 1e3
+    parents = ["floor", *[None] * 14, *["floor"] * 3]
+    assert words_of(0.01 + heights, parents) == [(1, "lifted"), (15, "placed")]
+    heights[5] = 0.02
+    assert (5, "bounced") in words_of(0.01 + heights, parents)
 
 
 def test_what_hops_by_millimetres_still_rests_in_made_films_and_what_bounces_does_not():
