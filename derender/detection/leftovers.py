@@ -26,6 +26,7 @@ from derender.detection.search.observation import Observation, patches_of
 from derender.detection.search.proposals import all_hypotheses, make_surface, smallest_rectangle
 from derender.detection.search.searches import Climb, explain_rest, merged
 from derender.detection.segments import segments, two_sides
+from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
@@ -88,6 +89,11 @@ def leftovers(
             continue
         probability, _ = existence_of(seen, state, mask, settings, shows_below(seen, state, mask))
         exists = probability > LEAST_EXISTENCE
+        if not exists:
+            with_it, gained = with_solid(rng, seen, state, mask, settings)
+            if gained > settings.temper * LEFT_LEAST and shows_alike(image, with_it, mask):  # as no clutter does
+                state = with_it
+                continue
         if not exists and (shrunk(whole, 1) & left).sum() < INNER * mask.sum():
             seams.append((mask, probability))
             continue
@@ -104,9 +110,7 @@ def leftovers(
         if exists:
             with_it, gained = with_solid(rng, seen, state, mask, settings)
             cheaper = gained - float(misfit[mask].sum()) + settings.temper * (LEFT_PRICE + cost.numbers(mask))
-            shown = held_out(image, with_it, -1)[1] == len(with_it) - 1
-            alike = (shown & mask).sum() > SAME * (shown | mask).sum()
-            if cheaper > 0.0 and (alike or gained > settings.temper * LEFT_LEAST):
+            if cheaper > 0.0 and (shows_alike(image, with_it, mask) or gained > settings.temper * LEFT_LEAST):
                 state = with_it
                 continue
         (found if exists else clutter).append(mask)
@@ -132,6 +136,12 @@ def with_insides(seen: Observation, piece: np.ndarray, left: np.ndarray, large: 
         else:
             piece[piece == k] = other
     return kept
+
+
+def shows_alike(image: Image, state: State, mask: np.ndarray) -> bool:
+    """Whether the last solid of a state shows where a mask (H, W) does, see SAME; nothing does where there is none."""
+    shown = held_out(image, state, -1)[1] == len(state) - 1
+    return bool((shown & mask).sum() > SAME * (shown | mask).sum())
 
 
 def with_solid(

@@ -25,7 +25,7 @@ from derender.detection.compounds import (
 )
 from derender.detection.compounds import joined as joined_parts
 from derender.detection.estimate import point_estimate
-from derender.detection.freestanding import outstanding
+from derender.detection.freestanding import existence_of, outstanding
 from derender.detection.leftovers import leftovers, swaps
 from derender.detection.outline import foot_radius, vertical_axis
 from derender.detection.patches import APART, SeenSurface, straightest
@@ -36,8 +36,9 @@ from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.things import (
+    BAD,
     STRAIGHTEST,
     Cost,
     clear_of_edges,
@@ -645,6 +646,20 @@ def test_two_that_touch_and_were_one_solid_are_two_solids_and_a_loaf_one_thing()
         assert len(found) == (not sizes)
         for row, size in zip(sorted(state.rows.tolist(), key=lambda row: -row[15]), sizes, strict=True):
             assert row[13:16] == pytest.approx(size, abs=0.015)
+
+
+def test_what_is_left_over_and_looks_as_a_solid_does_is_one_though_most_is_hidden():
+    """A can behind another was clutter, for it hardly stands out: it was lost, and the answer was trusted."""
+    cans = [(CYLINDER, 0.0, -0.05, (0.09, 0.09, 0.1), None), (CYLINDER, 0.02, 0.035, (0.07, 0.07, 0.09), None)]
+    seen = observe(seen_on_the_table(cans), CAMERA)._replace(correlation=0.9)
+    place = np.linalg.inv(seen.floor.pose) @ TABLE
+    row = make_row(CYLINDER, place[:3, :3], place[:3] @ [0.0, -0.05, 0.05, 1.0], np.array([0.09, 0.09, 0.1]))
+    before, settings = State().add(row, UPRIGHT, False, FLOOR, 0.0), Settings().for_pixels(15.0)
+    hidden = seen.mask & (held_out(seen.image, before, -1)[2] > BAD)
+    assert existence_of(seen, before, hidden, settings, np.zeros_like(hidden))[0] < 0.5
+    _, state, found, clutter = leftovers(np.random.default_rng(0), seen, before, settings)
+    assert len(state) == 2 and not found and not clutter
+    assert state.rows[1, 13:16] == pytest.approx([0.07, 0.07, 0.09], abs=0.01)
 
 
 def test_what_is_left_over_and_low_is_an_object_where_it_shows_clearly():
