@@ -84,7 +84,7 @@ def other_shapes(best: Refined, i: int, shapes: tuple[str, ...]) -> list[Any]:
     """Return the states in which a solid that shows in few pixels, or explains its own badly, has another of these
     shapes, as large as it is."""
     state = best.state
-    if pixels_of(best)[i] > FEW_PIXELS and not badly_explained(best, i):
+    if best.sensor.shows * pixels_of(best)[i] > FEW_PIXELS and not badly_explained(best, i):
         return []
     row, kind = state.rows[i], int(state.rows[i][0])
     size = row[13:16]

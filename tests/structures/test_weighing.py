@@ -26,7 +26,7 @@ from derender.structures.alternatives import (
     quick_steps,
     unclimbed,
 )
-from derender.structures.changes import longer, other_shapes, stood_up, uprighted
+from derender.structures.changes import FEW_PIXELS, longer, other_shapes, stood_up, uprighted
 from derender.structures.draws.chart import HELD
 from derender.structures.draws.metropolis import (
     blurrings,
@@ -42,6 +42,7 @@ from derender.structures.draws.refined import (
     at_mode,
     height,
     members_of,
+    pixels_of,
     refined_at,
     refitted,
     with_sensor_refitted,
@@ -479,6 +480,18 @@ def test_a_cube_in_few_pixels_is_tried_as_a_can_that_stands():
     best = Refined(cube, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
     (can,) = other_shapes(best, 0, ("box", "cube", "cylinder"))
     assert can.forms == [UPRIGHT] and int(can.rows[0, 0]) == CYLINDER
+
+
+def test_a_solid_of_many_pixels_that_share_their_noise_is_tried_in_other_shapes_too():
+    """A can of 319 pixels that tell as much as ten was a box at P .995: nothing else was ever weighed."""
+    rng = np.random.default_rng(3)
+    box = solid(BOX, (0.1, 0.08, 0.12))
+    sensor, chart, values = observe(rng, box, {"sigma": 0.002, "blur": 0.5}, camera(64, 48))
+    best = Refined(box, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    assert pixels_of(best)[0] > FEW_PIXELS and other_shapes(best, 0, ("box", "cylinder")) == []
+    shared = sensor.changed("correlated", sigma=0.002, step=0.0005, reach=8.0, reach_down=8.0)
+    (can,) = other_shapes(best._replace(sensor=shared), 0, ("box", "cylinder"))
+    assert int(can.rows[0, 0]) == CYLINDER
 
 
 def test_what_gave_way_to_a_solid_goes_back_where_that_is_taken_away():
