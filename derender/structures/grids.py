@@ -352,10 +352,13 @@ def as_grid(part: StructurePosterior, boxes: Sequence[str], grid: Grid) -> Struc
 
 
 def with_cartons(graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], grid: Grid) -> SceneGraph:
-    """Return a graph with a grid of cartons, lower layers first, in place of boxes whose hull in a scene it fills."""
+    """Return a graph with a grid of cartons, lower layers first, in place of boxes whose hull in a scene it fills.
+
+    They are named by their grid: in one of other parts none of them is an object.
+    """
     (pose, extents), count = hull_of(scene, boxes), np.array(grid.parts)
     size = (extents - (count - 1) * grid.gap) / count
-    first, beneath = boxes[0], graph.vertex(boxes[0]).parent
+    first, beneath = f"{boxes[0]}_{'x'.join(map(str, grid.parts))}", graph.vertex(boxes[0]).parent
     names = {place: f"{first}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
     poses, bodies = {beneath: scene.poses()[beneath]}, {beneath: scene.body(beneath)}
     cartons = []

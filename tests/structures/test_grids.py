@@ -1,6 +1,6 @@
 """A box that may be a grid of equal cartons: what its seams show, and what it is where they show nothing."""
 
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -103,6 +103,14 @@ def test_seams_that_show_tell_the_grid_and_layers_that_do_not_stay_open():
     for each in found:
         assert each.values.shape[2] == len(each.addresses) == len(each.periods)
         assert each.graph_at(0, 0).names == each.graph.names
+
+
+def test_a_carton_is_as_probable_as_its_grid():
+    """One at the same place among others, of another size, had its name: all were told at P 1.00, most wrong."""
+    part, image, *_ = pallet(gap=0.0)
+    found = with_grids([part], image, bare_image())
+    names = [set(each.graph.names) - {"floor"} for each in found]
+    assert len(found) > 1 and not any(one & other for one, other in combinations(names, 2))
 
 
 def test_what_stands_on_a_pallet_may_be_a_grid_as_what_stands_on_the_floor():
