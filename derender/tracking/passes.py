@@ -363,15 +363,16 @@ class Smoother:
                 first, end = first + (worst == 0), end - (worst == -1)
 
     def _spread(self, k: int, fits: list[Fit | None]) -> None:
-        """Give thing k the covariance of each frame's fit, and where it rests that of the fit that tells most."""
+        """Give thing k the covariance of each frame's fit, and where it rests that of the middle one: outlines that
+        fall on the same pixels are off alike in all frames of a rest."""
         spreads = {t: fit.spread for t, fit in enumerate(fits) if fit is not None}
         wide = {t: float(np.linalg.slogdet(spread)[1]) for t, spread in spreads.items()}
         still = self.states[:, k] == STILL
         for rest in np.split(np.arange(len(still)), np.flatnonzero(~(still[1:] & still[:-1])) + 1):
-            known = [t for t in rest if t in spreads]  # all of one rest, or one frame
+            known = sorted((t for t in rest if t in spreads), key=wide.__getitem__)  # all of one rest, or one frame
             for t in known:
                 _, recorder, n = self.rows[t]
-                recorder.seen[n].covariances[k] = spreads[min(known, key=wide.__getitem__)]
+                recorder.seen[n].covariances[k] = spreads[known[len(known) // 2]]
 
     def _grow(self, k: int, fits: list[Fit | None]) -> None:
         """Give thing k the size that all frames and what was known before tell together.
