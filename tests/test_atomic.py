@@ -160,8 +160,11 @@ def test_the_disk_has_all_files_of_a_set_before_one_of_them_moves(tmp_path, monk
 
 
 def test_no_folder_is_left_on_a_full_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr("derender.atomic.shutil.disk_usage", lambda path: SimpleNamespace(free=1_000))
+    monkeypatch.setattr("derender.atomic.shutil.disk_usage", lambda path: SimpleNamespace(free=1_000, total=10**9))
     with pytest.raises(DerenderError, match="the disk is full: 0.0 of the 2 MB that are needed"):
         make_folder(tmp_path / "one" / "two", 2_000_000)
     assert not (tmp_path / "one").exists()
     assert make_folder(tmp_path / "one" / "two", 500).is_dir()
+    monkeypatch.setattr("derender.atomic.shutil.disk_usage", lambda path: SimpleNamespace(free=0, total=0))
+    with pytest.raises(DerenderError, match="nothing can be kept there"):  # as in /proc
+        make_folder(tmp_path / "three", 500)

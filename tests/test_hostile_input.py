@@ -169,10 +169,10 @@ def test_a_folder_that_cannot_take_results_is_told_before_they_are_computed(tmp_
     image = tmp_path / "image.npy"
     np.save(image, np.ones((8, 8)))
     monkeypatch.setattr("derender.workflow.answer", lambda *_: pytest.fail("it was computed"))
-    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64_000))
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64_000, total=10**9))
     with pytest.raises(DerenderError, match="the disk is full: 0.1 of the 2 MB"):
         infer_to_folder(str(image), Options(), output=str(tmp_path))
-    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64_000_000))
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64_000_000, total=10**9))
     monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write to any folder but on such a disk
     with pytest.raises(DerenderError, match="cannot be written to"):
         infer_to_folder(str(image), Options(), output=str(tmp_path))

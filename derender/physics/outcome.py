@@ -212,19 +212,20 @@ def probability(
     """
     what = intervention(**acts)
     bodies: set[str] = set()
+    verdicts = {STANDS, SETTLES, FALLS}
     if isinstance(event, str):
         word = event
 
         def event(outcome: Outcome) -> bool:
             bodies.update(body.name for body in outcome.matter.bodies)
-            return outcome.verdict == word if word in (STANDS, SETTLES, FALLS) else word in outcome.fallen
+            return outcome.verdict == word if word in verdicts else word in outcome.fallen
 
     happened = [bool(event(run)) for run in outcomes(scenes, what, seed, engine, duration, jobs, until, event)]
     if not happened:
         raise DerenderError("there are no draws", None, "give draws from 1")
     chance = chance_of(happened, missed=missed)
-    if bodies and word not in (STANDS, SETTLES, FALLS, *bodies):
-        raise DerenderError(f"{word!r} is no verdict and no object", None, suggest(word, bodies))
+    if bodies and word not in verdicts | bodies:
+        raise DerenderError(f"{word!r} is no verdict and no object", None, suggest(word, verdicts | bodies))
     return chance
 
 

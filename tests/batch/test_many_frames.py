@@ -219,7 +219,9 @@ def test_a_full_disk_stops_a_run_before_the_rest_is_inferred_in_vain(tmp_path, m
             self.busy = 1
             begun.append(frame)
             if len(begun) == 2:
-                monkeypatch.setattr("derender.atomic.shutil.disk_usage", lambda path: SimpleNamespace(free=64_000))
+                monkeypatch.setattr(
+                    "derender.atomic.shutil.disk_usage", lambda path: SimpleNamespace(free=64_000, total=10**9)
+                )
 
         def finished(self, timeout):
             self.busy = 0

@@ -310,6 +310,8 @@ def test_draws_until_it_is_known_are_simulated_in_threads(graph, monkeypatch):
 def test_nobody_and_no_time_are_told(graph):
     with pytest.raises(DerenderError, match="'gren' is no verdict and no object; did you mean 'green'"):
         probability([graph], "gren", engine="statics")
+    with pytest.raises(DerenderError, match="'flies' is no verdict.*did you mean 'falls'"):
+        probability([graph], "flies", engine="statics")
     for duration in (0.0, -1.0, float("nan")):
         with pytest.raises(DerenderError, match="duration is"):
             simulate_scene(graph, duration=duration)
