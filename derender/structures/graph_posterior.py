@@ -58,10 +58,11 @@ AHEAD = THREADS  # solids whose changes are weighed side by side, in vain after 
 WORTH_DRAWING = 0.05  # weight of a structure that gets draws of its own, not its mode alone
 # Structures less probable than the best by more than this many nats are not reported; how many are, at most.
 NEGLIGIBLE, MOST_PARTS = 8.0, 12
-# Independent pixels of a solid, below which climbs end beside its mode: of two cubes in 33 one weighing in four said
-# at .994 that they are a box, which by others is .02 to .25. The weight of the likeliest structure below which all are
-# weighed again, and nats below it at which a second weighing is still told of another.
-FEW_TO_CLIMB, LIKELY, MET = 40, 0.9, 4.0
+# The weight of the likeliest structure below which all are weighed again; nats below it within which one of more or
+# fewer solids says that a search may have missed a better one (of 46 made scenes 43 have none within 12; of two cubes
+# that one weighing in four told as a box, at .994, it is 5 to 9); independent pixels of a solid below which climbs end
+# beside its mode; and nats below the likeliest at which a second weighing is still told of another.
+LIKELY, RIVAL, FEW_TO_CLIMB, MET = 0.9, 10.0, 40, 4.0
 
 Again = Callable[[], Refined | None]
 Kept = tuple[Refined, float, list[str], float]  # of a structure its mode, log odds, names, and the error of the odds
@@ -104,9 +105,11 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     made = DrawsOfOne(chains, draws, settings.until)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
     late = settings.until is not None and time.monotonic() > settings.until
-    if again is not None and not late and (in_doubt(kept[0][0], agreed) or share_of_likeliest(kept) < LIKELY):
+    missed, open_ = may_be_missed(kept, agreed), open_kinds(kept)
+    if again is not None and not late and (missed or open_):
         best = kept[0][0]
-        start = (again() if in_doubt(best, agreed) else None) or best
+        few = min(shown_and_left(best)["pixels"], default=np.inf) < FEW_TO_CLIMB
+        start = (again() if missed or few else None) or best
         met = [trial.state for trial, odds, *_ in kept if trial is not start and odds > -MET]
         kept = averaged(weighed_structures(rng, start, np.inf, [], settings, made, met), kept)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
@@ -162,16 +165,17 @@ def shown_and_left(trial: Refined) -> dict[str, list]:
     return {"pixels": [float(shows * count) for count in pixels_of(trial)], "spots": left}
 
 
-def in_doubt(best: Refined, agreed: bool) -> bool:
-    """Whether another search may find what is likelier: no two of the first agreed, a solid shows in too few pixels,
-    or something is left unexplained."""
-    told = shown_and_left(best)
-    return not agreed or min(told["pixels"], default=np.inf) < FEW_TO_CLIMB or bool(told["spots"])
+def may_be_missed(kept: list[Kept], agreed: bool) -> bool:
+    """Whether another search may find what is likelier: no two of the first agreed, something is left unexplained, or
+    a structure of more or fewer solids is close. kept : what `weighed_structures` returns."""
+    best = kept[0][0]
+    rivals = any(odds > -RIVAL for trial, odds, *_ in kept if len(trial.state) != len(best.state))
+    return not agreed or rivals or bool(shown_and_left(best)["spots"])
 
 
-def share_of_likeliest(kept: list[Kept]) -> float:
-    """Return the weight of the likeliest of what `weighed_structures` returns."""
-    return float(1.0 / np.exp([odds for _, odds, *_ in kept]).sum())
+def open_kinds(kept: list[Kept]) -> bool:
+    """Whether other structures are nearly as likely as the likeliest of what `weighed_structures` returns."""
+    return float(1.0 / np.exp([odds for _, odds, *_ in kept]).sum()) < LIKELY
 
 
 def averaged(kept: list[Kept], before: list[Kept]) -> list[Kept]:

@@ -25,13 +25,20 @@ def cube(noise=NOISE):
     return mode_of(noise, (0.0, 0.0, (0.06, 0.06, 0.06), True))
 
 
-def weighings(monkeypatch, best, odds, again, until=None, agreed=True, pixels=100.0, spots=()):
-    """Return what `weighed_structures` is asked for, as (state begun from, number of those met), where the first finds
-    a structure and another of these odds."""
+def two_of(best):
+    """Return what a State's `add` takes of a cube's twin."""
+    row, form, is_cube, parent, bottom = best.state[0]
+    return row.copy(), form, is_cube, parent, bottom
+
+
+def weighings(monkeypatch, best, odds, again, until=None, agreed=True, pixels=100.0, spots=(), two=False):
+    """Return what `weighed_structures` is asked for, as (state begun from, which of those met are cubes), where the
+    first finds a cube and a box, or two cubes, of these odds."""
     calls = []
-    box = best.state.copy()
-    box.cubes[0] = False
-    kept = [(best, 0.0, ["cube_1"], 0.0), (best._replace(state=box), odds, ["cube_1"], 0.1)]
+    box = best.state.add(*two_of(best)) if two else best.state.copy()
+    box.cubes[0] = two
+    names = [f"cube_{k + 1}" for k in range(len(box))]
+    kept = [(best, 0.0, ["cube_1"], 0.0), (best._replace(state=box), odds, names, 0.1)]
 
     def weighed(rng, first, energy, pool, settings, made, met=()):
         calls.append((first.state, [tuple(state.cubes) for state in met]))
@@ -97,7 +104,10 @@ def test_what_leaves_doubts_is_weighed_again_with_what_the_first_came_by(monkeyp
     assert weighings(monkeypatch, best, far, lambda: other) == once
     assert weighings(monkeypatch, best, close, None) == once  # nothing to search by
     assert weighings(monkeypatch, best, close, lambda: other) == [*once, (best.state, [(False,)])]
-    for doubt in ({"agreed": False}, {"pixels": room.FEW_TO_CLIMB - 1.0}, {"spots": [(0, 0)]}):
+    few = {"pixels": room.FEW_TO_CLIMB - 1.0}
+    assert weighings(monkeypatch, best, far, lambda: other, **few) == once  # it is as sure as can be
+    assert weighings(monkeypatch, best, close, lambda: other, **few)[1:] == [(other.state, [(True,), (False,)])]
+    for doubt in ({"agreed": False}, {"two": True}, {"spots": [(0, 0)]}):
         assert weighings(monkeypatch, best, far, lambda: other, **doubt) == [*once, (other.state, [(True,)])]
         assert weighings(monkeypatch, best, far, lambda: None, **doubt) == [*once, (best.state, [])]
         assert weighings(monkeypatch, best, far, lambda: other, until=time.monotonic() - 1.0, **doubt) == once
