@@ -59,8 +59,8 @@ WORTH_DRAWING = 0.05  # weight of a structure that gets draws of its own, not it
 # Structures less probable than the best by more than this many nats are not reported; how many are, at most.
 NEGLIGIBLE, MOST_PARTS = 8.0, 12
 # The weight of the likeliest structure below which all are weighed again; nats below it within which one of more or
-# fewer solids says that a search may have missed a better one (of 46 made scenes 43 have none within 12; of two cubes
-# that one weighing in four told as a box, at .994, it is 5 to 9); independent pixels of a solid below which climbs end
+# fewer solids says that a search may have missed a better one (of 46 made scenes one has such; where a weighing told
+# two cubes as one box at .99, in two scenes, it was at 5 and 7); independent pixels of a solid below which climbs end
 # beside its mode; and nats below the likeliest at which a second weighing is still told of another.
 LIKELY, RIVAL, FEW_TO_CLIMB, MET = 0.9, 10.0, 40, 4.0
 
@@ -104,14 +104,8 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         return likeliest_shapes(rng, first, settings)
     made = DrawsOfOne(chains, draws, settings.until)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
-    late = settings.until is not None and time.monotonic() > settings.until
-    missed, open_ = may_be_missed(kept, agreed), open_kinds(kept)
-    if again is not None and not late and (missed or open_):
-        best = kept[0][0]
-        few = min(shown_and_left(best)["pixels"], default=np.inf) < FEW_TO_CLIMB
-        start = (again() if missed or few else None) or best
-        met = [trial.state for trial, odds, *_ in kept if trial is not start and odds > -MET]
-        kept = averaged(weighed_structures(rng, start, np.inf, [], settings, made, met), kept)
+    if again is not None and (settings.until is None or time.monotonic() < settings.until):
+        kept = weighed_again(rng, kept, settings, made, again, agreed)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
     # What is not reported keeps its share: of the others' weights it takes what is its own.
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
@@ -165,20 +159,27 @@ def shown_and_left(trial: Refined) -> dict[str, list]:
     return {"pixels": [float(shows * count) for count in pixels_of(trial)], "spots": left}
 
 
-def may_be_missed(kept: list[Kept], agreed: bool) -> bool:
-    """Whether another search may find what is likelier: no two of the first agreed, something is left unexplained, or
-    a structure of more or fewer solids is close. kept : what `weighed_structures` returns."""
-    best = kept[0][0]
-    rivals = any(odds > -RIVAL for trial, odds, *_ in kept if len(trial.state) != len(best.state))
-    return not agreed or rivals or bool(shown_and_left(best)["spots"])
+def weighed_again(
+    rng: np.random.Generator, kept: list[Kept], settings: Settings, made: "DrawsOfOne", again: Again, agreed: bool
+) -> list[Kept]:
+    """Return what `weighed_structures` keeps, weighed a second time where that leaves doubts.
+
+    Other structures may be nearly as likely; or another search may find a likelier one, and the second begins with what
+    it does: no two searches of the first agreed, something is left unexplained, a structure of more or fewer solids is
+    close, or of those that are open a solid shows in few pixels.
+    """
+    best, told = kept[0][0], shown_and_left(kept[0][0])
+    close = any(odds > -RIVAL for trial, odds, *_ in kept if len(trial.state) != len(best.state))
+    missed = not agreed or close or bool(told["spots"])
+    if not missed and 1.0 / np.exp([odds for _, odds, *_ in kept]).sum() >= LIKELY:
+        return kept
+    few = min(told["pixels"], default=np.inf) < FEW_TO_CLIMB
+    start = (again() if missed or few else None) or best
+    met = [trial.state for trial, odds, *_ in kept if trial is not start and odds > -MET]
+    return of_both(weighed_structures(rng, start, np.inf, [], settings, made, met), kept)
 
 
-def open_kinds(kept: list[Kept]) -> bool:
-    """Whether other structures are nearly as likely as the likeliest of what `weighed_structures` returns."""
-    return float(1.0 / np.exp([odds for _, odds, *_ in kept]).sum()) < LIKELY
-
-
-def averaged(kept: list[Kept], before: list[Kept]) -> list[Kept]:
+def of_both(kept: list[Kept], before: list[Kept]) -> list[Kept]:
     """Return what a second weighing keeps with the odds of both, each against the likeliest of the second, where both
     found modes as high; by the inverse variances, with the error of what they differ by where that is greater."""
     best, names = kept[0][0], kept[0][2]

@@ -77,16 +77,16 @@ def test_odds_of_two_weighings_are_averaged_where_their_modes_are_as_high():
     best = cube()
     box, low = of_kind(best, False), of_kind(best, False, 2.0)
     now = [(best, 0.0, ["cube_1"], 0.0), (box, -1.0, ["cube_1"], 0.2)]
-    (_, zero, _, none), (trial, odds, _, error) = room.averaged(now, [*now[:1], (box, -1.2, ["cube_1"], 0.2)])
+    (_, zero, _, none), (trial, odds, _, error) = room.of_both(now, [*now[:1], (box, -1.2, ["cube_1"], 0.2)])
     assert (zero, none) == (0.0, 0.0) and trial is box
     assert odds == pytest.approx(-1.1) and error == pytest.approx(0.2 / np.sqrt(2.0))
     # by a first one whose likeliest is the box, the cube is .6 against it: so the box is -.6 against the cube
     other_way = [(box, 0.0, ["cube_1"], 0.0), (best, 0.6, ["cube_1"], 0.1)]
-    (_, odds, _, error) = room.averaged(now, other_way)[1]
+    (_, odds, _, error) = room.of_both(now, other_way)[1]
     assert odds == pytest.approx(-0.6 - 0.4 * 0.2) and error > 0.1 / np.sqrt(1.25)  # more than both say: they differ
-    assert room.averaged(now, [*now[:1], (low, -3.0, ["cube_1"], 0.1)]) == now  # whose mode was missed says nothing
-    assert room.averaged(now, [(low, 0.0, ["cube_1"], 0.0)]) == now
-    (leader, zero, _, _), *_ = room.averaged(now, [*now[:1], (box, 1.5, ["cube_1"], 0.05)])
+    assert room.of_both(now, [*now[:1], (low, -3.0, ["cube_1"], 0.1)]) == now  # whose mode was missed says nothing
+    assert room.of_both(now, [(low, 0.0, ["cube_1"], 0.0)]) == now
+    (leader, zero, _, _), *_ = room.of_both(now, [*now[:1], (box, 1.5, ["cube_1"], 0.05)])
     assert leader is box and zero == 0.0
 
 
