@@ -38,10 +38,9 @@ class Drawing:
     camera : Camera. start : thing.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
     kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
     misfit : Misfit. clean : (H, W) metres, 0 where nothing returned; observed : the same, 0 where the backdrop is, too;
-    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth; beyond : where it
-    has none from the border on. left_out : (H, W) metres, what it
-    shows before what is drawn, inf elsewhere. hand : (H, W) bool, what reaches in from the border. backdrop : (H, W)
-    depth of what lies behind and is no floor.
+    spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth; beyond : where it has none from
+    the border on. left_out : (H, W) metres, what it shows before what is drawn, inf elsewhere. hand : (H, W) bool, what
+    reaches in from the border. backdrop : (H, W) depth of what lies behind and is no floor.
     rounds : sets of normal equations so far.
     """
 
@@ -115,8 +114,10 @@ class Drawing:
             yield
             return
         fitting.look(self.misfit, np.where(self.hand, 0.0, self.observed), self.spread)
-        yield
-        fitting.look(self.misfit, self.observed, self.spread)
+        try:
+            yield
+        finally:
+            fitting.look(self.misfit, self.observed, self.spread)
 
     def owner(self) -> np.ndarray:
         """Return (H, W) the number of the solid that each pixel shows, -1 for none."""

@@ -215,7 +215,10 @@ class Smoother:
             for k in self.movers:
                 mine = [frame.get(k) for frame in fits]
                 self._rest(k, mine)
-                (self._grow if number < SWEEPS - 1 else self._spread)(k, mine)
+                if number < SWEEPS - 1:
+                    self._grow(k, mine)
+                else:
+                    self._spread(k, mine)
         self._bridge()
         for t, (_, recorder, n) in enumerate(self.rows):
             change, seen = self._place(t) - self.before[t], recorder.seen[n]
