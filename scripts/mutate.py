@@ -33,6 +33,7 @@ ANEW = ("tests/structures/test_contacts_anew.py",)
 COMPILED = ("tests/posterior/test_compiled.py", *ANEW, *KERNELS)
 WEIGHTS = ("tests/structures/test_structure_weights.py",)
 DRAWS = ("tests/structures/test_graph_posterior.py", *WEIGHTS)
+AGAIN = ("tests/structures/test_weighed_again.py",)
 FLUSH = ("tests/structures/test_flush_cuts.py",)
 STEPS = ("tests/sampling/test_metropolis.py",)
 SMC = ("tests/posterior/test_smc.py",)
@@ -131,6 +132,13 @@ MUTATIONS = [
          "(bare <= bare[seen].max())", "np.isfinite(bare)",
          ("tests/structures/test_hidden.py",)),
         ("what is beaten shares nothing", "structures/graph_posterior.py", "leader.places[::-1]", "None", DRAWS),
+        ("a close rival asks for no search", "structures/graph_posterior.py", "odds > -RIVAL", "odds > 1.0", AGAIN),
+        ("two weighings: by the variances", "structures/graph_posterior.py", "weights=1.0 / squares",
+         "weights=squares", AGAIN),
+        ("two weighings: lesser modes too", "structures/graph_posterior.py", "abs(height(a) - height(b)) < HIGHER",
+         "True", AGAIN),
+        ("jitter lets go of contacts", "physics/intervention.py",
+         "/ np.sqrt(1.0 + values.clip(0.0) / (OPENS * matter.unit) ** 2)", "", ("tests/physics/test_jitter.py",)),
         ("whole: normal alone", "structures/weighing.py", "log += found.log - near_evidence",
          "log += 0.0 * near_evidence", ("tests/structures/test_structure_weights.py",)),
         ("near evidence: no volume", "structures/draws/refined.py", "return height - 0.5 * float(np.linalg.slogdet",
