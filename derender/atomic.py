@@ -191,10 +191,10 @@ def make_folder(path: str | Path, room: int = 0) -> Path:
     path = Path(path)
     try:
         there = next(each for each in (path, *path.absolute().parents) if each.exists())
-        if room and not shutil.disk_usage(there).total:
-            raise DerenderError("nothing can be kept there", where=path, remedy="choose another place")
-        if room and (free := shutil.disk_usage(there).free) < room:
-            what = f"the disk is full: {free / 1e6:.1f} of the {room / 1e6:g} MB that are needed"
+        if room and (disk := shutil.disk_usage(there)).free < room:
+            if not disk.total:  # as in /proc
+                raise DerenderError("nothing can be kept there", where=path, remedy="choose another place")
+            what = f"the disk is full: {disk.free / 1e6:.1f} of the {room / 1e6:g} MB that are needed"
             raise DerenderError(what, where=path, remedy="make room, or choose another place")
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError, RecursionError) as error:  # the last: of thousands of folders in one another

@@ -11,9 +11,8 @@ from derender.cli import options
 from derender.cli.options import Talk
 from derender.errors import DerenderError
 
-MOST_GAIN = (
-    1e9  # nats that are told: where a floor is taken away nothing is seen, and how unlikely that is says nothing
-)
+# Nats that are told: where a floor is taken away nothing is seen, and how unlikely that is says nothing.
+MOST_GAIN = 1e9
 
 
 @click.command()

@@ -287,7 +287,7 @@ def _lines(found: Any) -> Iterator[Any]:
     missed = told_of_missed(found)
     if found["draws"] > 1 or missed:
         stood, count = found["draws_stable"], found["draws"]
-        how = f"{stood} of {count} draws stand, and (k + 1/2) / (n + 1) is as sure as they can make it"
+        how = f"{stood} of {count} draws stand, told as (k + 1/2) / (n + 1)"
         drawn = f" ± {found['p_stable_error']:.3f}: {how}" if count > 1 else ""
         yield f"P(stable) = {found['p_stable']:.3f}{drawn}" + (f"; {missed}" if missed else "")
         yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())

@@ -44,7 +44,7 @@ class Blocks(NamedTuple):
     columns: np.ndarray
     observed: np.ndarray  # (N,) metres, mean depth of the pixels that returned one
     scored: np.ndarray  # (S,) int, numbers of the draws in each chain that were scored
-    log_likelihood: np.ndarray | None  # (chains, S, N), of all pixels of the block; None: it cannot be told by draws
+    log_likelihood: np.ndarray | None  # (chains, S, N), of all pixels of the block; None: see MOST_APART
     drawn: np.ndarray  # (D,) int, numbers of the draws in each chain of which images were drawn
     predicted: np.ndarray  # (chains, D, N) metres, mean depth of the same pixels in an image drawn from the likelihood
 
@@ -81,12 +81,10 @@ def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: n
         images = [means(image_at(posterior, part, chain, int(draw), camera, rng)) for draw in drawn]
         return scores, np.reshape(images, (len(drawn), len(rows)))
 
-    scores_of, images = map(
-        np.array, zip(*in_threads(rng, [partial(told, chain=k) for k in range(chains)]), strict=True)
-    )
-    apart = float(np.std(scores_of.sum(axis=-1) - part.log_likelihood[:, scored]))
-    known = scores_of if apart < MOST_APART else None
-    return Blocks(rows * side, columns * side, means(observed), scored, known, drawn, images)
+    scores, images = map(np.array, zip(*in_threads(rng, [partial(told, chain=k) for k in range(chains)]), strict=True))
+    apart = np.std(scores.sum(axis=-1) - part.log_likelihood[:, scored])
+    likely = scores if apart < MOST_APART else None
+    return Blocks(rows * side, columns * side, means(observed), scored, likely, drawn, images)
 
 
 def predictive_images(posterior: Posterior, camera: Camera, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -139,7 +139,9 @@ def test_simulate_a_posterior(capsys, folder):
     assert again["p_stable"] == found["p_stable"]
     told = run(capsys, "simulate", "out", "--draws", "8")[1]
     k = json.loads((folder / "out" / "simulation.json").read_text())["draws_stable"]
-    assert f"P(stable) = {(k + 0.5) / 9:.3f} ± " in told and f": {k} of 8 draws stand, and (k + 1/2) / (n + 1)" in told
+    assert (
+        f"P(stable) = {(k + 0.5) / 9:.3f} ± " in told and f": {k} of 8 draws stand, told as (k + 1/2) / (n + 1)" in told
+    )
     for path, told in (("out/moves.gif", "moves.gif"), ("moves.gif", None)):  # the page shows its own only
         run(capsys, "simulate", "out", "--draws", "0", "--duration", "0.2", "--animate", path)
         assert json.loads((folder / "out" / "simulation.json").read_text())["animation"] == told
