@@ -41,6 +41,7 @@ from derender.structures.draws.refined import (
     chains_of,
     floor_pose_of,
     height,
+    leaves_outliers,
     only_draw,
     pixels_of,
     refine,
@@ -165,12 +166,12 @@ def weighed_again(
     """Return what `weighed_structures` keeps, weighed a second time where that leaves doubts.
 
     Other structures may be nearly as likely; or another search may find a likelier one, and the second begins with what
-    it does: no two searches of the first agreed, something is left unexplained, a structure of more or fewer solids is
-    close, or of those that are open a solid shows in few pixels.
+    it does: no two searches of the first agreed, something is left unexplained, outliers at least, a structure of more
+    or fewer solids is close, or of those that are open a solid shows in few pixels.
     """
     best, told = kept[0][0], shown_and_left(kept[0][0])
     close = any(odds > -RIVAL for trial, odds, *_ in kept if len(trial.state) != len(best.state))
-    missed = not agreed or close or bool(told["spots"])
+    missed = not agreed or close or bool(told["spots"]) or leaves_outliers(best.sensor)
     if not missed and 1.0 / np.exp([odds for _, odds, *_ in kept]).sum() >= LIKELY:
         return kept
     few = min(told["pixels"], default=np.inf) < FEW_TO_CLIMB

@@ -111,6 +111,9 @@ def test_what_leaves_doubts_is_weighed_again_with_what_the_first_came_by(monkeyp
         assert weighings(monkeypatch, best, far, lambda: other, **doubt) == [*once, (other.state, [(True,)])]
         assert weighings(monkeypatch, best, far, lambda: None, **doubt) == [*once, (best.state, [])]
         assert weighings(monkeypatch, best, far, lambda: other, until=time.monotonic() - 1.0, **doubt) == once
+    sensor = best.sensor._replace(values={**best.sensor.values, "outlier": 0.001})
+    left = best._replace(sensor=sensor)  # pixels that its solids do not explain
+    assert weighings(monkeypatch, left, far, lambda: other) == [*once, (other.state, [(True,)])]
 
 
 def test_what_another_search_finds_is_brought_to_its_mode(monkeypatch):

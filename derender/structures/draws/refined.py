@@ -246,8 +246,7 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     """
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
     found = climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
-    suspect = sensor.values.get("outlier", 1.0) > RATES[0] or sensor.values.get("flying", 0.0) > 0.0
-    ways = [-FARTHER, FARTHER] if changes_blur(sensor) and suspect else []
+    ways = [-FARTHER, FARTHER] if changes_blur(sensor) and leaves_outliers(sensor) else []
     while ways:
         way = ways.pop()
         sensor = found.sensor.changed(flying=0.0).blurred(way)
@@ -255,6 +254,12 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
         if height(trial) > height(found) + HIGHER:
             found, ways = trial, [way]
     return max(refined, at_its_blur(rng, found, None), key=height)
+
+
+def leaves_outliers(sensor: Sensor) -> bool:
+    """Return whether a Sensor fitted to solids needs more outliers than the fewest, or flying pixels: the real one has
+    them, or the solids are others."""
+    return sensor.values.get("outlier", 0.0) > RATES[0] or sensor.values.get("flying", 0.0) > 0.0
 
 
 def changes_blur(sensor: Sensor) -> bool:
