@@ -34,6 +34,7 @@ COMPILED = ("tests/posterior/test_compiled.py", *ANEW, *KERNELS)
 WEIGHTS = ("tests/structures/test_structure_weights.py",)
 DRAWS = ("tests/structures/test_graph_posterior.py", *WEIGHTS)
 AGAIN = ("tests/structures/test_weighed_again.py",)
+BLUR = ("tests/structures/test_blur_sought.py",)
 FLUSH = ("tests/structures/test_flush_cuts.py",)
 STEPS = ("tests/sampling/test_metropolis.py",)
 SMC = ("tests/posterior/test_smc.py",)
@@ -133,6 +134,10 @@ MUTATIONS = [
          ("tests/structures/test_hidden.py",)),
         ("what is beaten shares nothing", "structures/graph_posterior.py", "leader.places[::-1]", "None", DRAWS),
         ("a close rival asks for no search", "structures/graph_posterior.py", "odds > -RIVAL", "odds > 1.0", AGAIN),
+        ("outliers ask for no search", "structures/graph_posterior.py", " or leaves_outliers(best.sensor)", "", AGAIN),
+        ("known outliers ask for a search", "structures/draws/refined.py", " if name not in known", "", AGAIN),
+        ("flying pixels ask for no search", "structures/draws/refined.py", ', "flying": 0.0}', "}", AGAIN),
+        ("known outliers hide a wrong blur", "structures/draws/refined.py", '"outlier" not in fitted or ', "", BLUR),
         ("two weighings: by the variances", "structures/graph_posterior.py", "weights=1.0 / squares",
          "weights=squares", AGAIN),
         ("two weighings: lesser modes too", "structures/graph_posterior.py", "abs(height(a) - height(b)) < HIGHER",

@@ -166,7 +166,7 @@ def weighed_again(
     """Return what `weighed_structures` keeps, weighed a second time where that leaves doubts.
 
     Other structures may be nearly as likely; or another search may find a likelier one, and the second begins with what
-    it does: no two searches of the first agreed, something is left unexplained, outliers at least, a structure of more
+    it does: no two searches of the first agreed, pixels are left unexplained or taken for outliers, a structure of more
     or fewer solids is close, or of those that are open a solid shows in few pixels.
     """
     best, told = kept[0][0], shown_and_left(kept[0][0])

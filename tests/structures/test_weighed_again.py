@@ -9,14 +9,17 @@ from test_structure_weights import RULES, mode_of
 import derender.structures.graph_posterior as room
 import derender.structures.infer as infer
 from derender.detection.search.greedy import Settings
+from derender.document import LikelihoodPrior
 from derender.structures.alternatives import unclimbed
 from derender.structures.draws.refined import floor_pose_of, height
+from derender.structures.draws.sensor import RATES
 from derender.structures.options import Options
 from derender.structures.weighing import CLOSE, Weighed
 from worlds.made_scenes import drawn_scene
 
 NOISE = 0.04  # metres, in which a cube of 6 cm may as well be a box
 SMALL = 992049  # seed of a scene of two stacked cubes that show in 33 pixels, in noise of 6 mm
+TALL = 980000  # seed of a scene where a cube on a box is first taken for one tall box, and the rest for outliers
 SETTINGS = Settings(shapes=("box", "cube"))
 
 
@@ -52,9 +55,9 @@ def weighings(monkeypatch, best, odds, again, until=None, agreed=True, pixels=10
     return calls
 
 
-def inferred(monkeypatch, again, seed):
-    """Return the Posterior of the small scene, weighed again where in doubt, or never."""
-    _, image, _, camera = drawn_scene(SMALL, "tabletop", (64, 48), 0.006)
+def inferred(monkeypatch, scene, again, seed):
+    """Return the Posterior of a scene, weighed again where in doubt, or never."""
+    _, image, _, camera = drawn_scene(scene, "tabletop", (64, 48), 0.006)
     if not again:
         whole = room.independent_parts
         monkeypatch.setattr(room, "independent_parts", lambda *given: whole(*given[:8]))
@@ -93,8 +96,8 @@ def test_odds_of_two_weighings_are_averaged_where_their_modes_are_as_high():
 @pytest.mark.slow
 def test_a_sure_answer_of_few_pixels_gives_way_to_what_a_second_weighing_finds(monkeypatch):
     seed = [SMALL, 8]  # the one of four whose first weighing finds no other mode
-    assert of_one_solid(inferred(monkeypatch, True, seed)) < 0.5
-    assert of_one_solid(inferred(monkeypatch, False, seed)) > 0.9
+    assert of_one_solid(inferred(monkeypatch, SMALL, True, seed)) < 0.5
+    assert of_one_solid(inferred(monkeypatch, SMALL, False, seed)) > 0.9
 
 
 def test_what_leaves_doubts_is_weighed_again_with_what_the_first_came_by(monkeypatch):
@@ -111,9 +114,24 @@ def test_what_leaves_doubts_is_weighed_again_with_what_the_first_came_by(monkeyp
         assert weighings(monkeypatch, best, far, lambda: other, **doubt) == [*once, (other.state, [(True,)])]
         assert weighings(monkeypatch, best, far, lambda: None, **doubt) == [*once, (best.state, [])]
         assert weighings(monkeypatch, best, far, lambda: other, until=time.monotonic() - 1.0, **doubt) == once
-    sensor = best.sensor._replace(values={**best.sensor.values, "outlier": 0.001})
-    left = best._replace(sensor=sensor)  # pixels that its solids do not explain
-    assert weighings(monkeypatch, left, far, lambda: other) == [*once, (other.state, [(True,)])]
+
+
+@pytest.mark.parametrize(("name", "fewest", "share"), [("outlier", RATES[0], 0.001), ("flying", 0.0, 0.1)])
+def test_pixels_taken_for_outliers_leave_a_doubt_unless_their_share_is_known(monkeypatch, name, fewest, share):
+    best, other = cube(), cube(0.001)
+    once, twice = [(best.state, [])], [(best.state, []), (other.state, [(True,)])]
+    for told, known, expected in ((share, {}, twice), (share, {name: share}, once), (fewest, {}, once)):
+        sensor = best.sensor._replace(prior=LikelihoodPrior("robust", known))
+        sensor = sensor._replace(values={**sensor.values, name: told})
+        found = weighings(monkeypatch, best._replace(sensor=sensor), -room.NEGLIGIBLE, lambda: other)
+        assert found == expected
+
+
+@pytest.mark.slow
+def test_a_sure_answer_that_leaves_outliers_gives_way_to_what_another_search_finds(monkeypatch):
+    again, once = (inferred(monkeypatch, TALL, way, TALL).parts[0] for way in (True, False))
+    assert once.weight > 0.99 and "cube_1" not in once.graph.solid_names
+    assert again.weight < 0.99 and "cube_1" in again.graph.solid_names
 
 
 def test_what_another_search_finds_is_brought_to_its_mode(monkeypatch):

@@ -242,11 +242,14 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     higher.
 
     Solids that were fitted under a wrong blur suggest just that, and outliers or flying pixels beside them: where there
-    are more than the fewest, one that is FARTHER to either side is tried with the solids following it.
+    are more than the fewest, or outliers are not fitted and tell nothing, one that is FARTHER to either side is tried
+    with the solids following it.
     """
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
     found = climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
-    ways = [-FARTHER, FARTHER] if changes_blur(sensor) and leaves_outliers(sensor) else []
+    fitted = sensor.values.keys() - held_by(sensor.prior).keys()
+    suspect = "outlier" not in fitted or leaves_outliers(sensor)
+    ways = [-FARTHER, FARTHER] if changes_blur(sensor) and suspect else []
     while ways:
         way = ways.pop()
         sensor = found.sensor.changed(flying=0.0).blurred(way)
@@ -257,9 +260,10 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
 
 
 def leaves_outliers(sensor: Sensor) -> bool:
-    """Return whether a Sensor fitted to solids needs more outliers than the fewest, or flying pixels: the real one has
-    them, or the solids are others."""
-    return sensor.values.get("outlier", 0.0) > RATES[0] or sensor.values.get("flying", 0.0) > 0.0
+    """Return whether more outliers than the fewest, or flying pixels, had to be fitted to a Sensor beside its solids:
+    the real one has them, or the solids are others. Shares that are known say nothing of the solids."""
+    known, fewest = held_by(sensor.prior), {"outlier": RATES[0], "flying": 0.0}
+    return any(sensor.values.get(name, 0.0) > rate for name, rate in fewest.items() if name not in known)
 
 
 def changes_blur(sensor: Sensor) -> bool:
