@@ -12,8 +12,9 @@ only some leave a groove that shows. Where no seam can show all numbers of parts
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from derender.detection.solids.graph import TILTS, without
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
 from derender.scene.contacts.kinds import ON_A_FACE
-from derender.scene.graph import Contact, SceneGraph, nearest_contact, vertex_of
+from derender.scene.graph import Body, Contact, SceneGraph, nearest_contact, vertex_of
 from derender.scene.pose import inverse, translation
 from derender.scene.priors.bare_image import Cartons
 from derender.scene.solids import BOX
@@ -45,7 +46,6 @@ MISPLACED = 0.002  # metres by which a seam may be off where equal parts put it
 RIM = 2  # pixels of a silhouette that may show what is behind
 NO_NOISE, FITS = 3.0, 3  # standard deviations that are no noise of a face, and how often a face is fitted without them
 SMALLEST_WEIGHT, MOST_KEPT = 0.01, 12  # of a grid that is kept, and of how many, the one box among them
-DRAWS = 20  # of a grid, of each chain: each is placed carton by carton
 UP = 2  # the axis of an upright box across its layers
 
 
@@ -140,21 +140,25 @@ class Image(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """A box in parts: parts (3,) of them along its axes; log odds against the one box; gap (3,) metres."""
+    """A box in parts: parts (3,) of them along its axes; log odds against the one box; gap (3,) metres, the likeliest,
+    and drawn : function of a generator and a number that returns so many (n, 3) as the image leaves them open."""
 
     parts: tuple[int, ...]
     odds: float
     gap: np.ndarray
+    drawn: Callable[[np.random.Generator, int], np.ndarray]
 
 
-def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Beliefs) -> list[StructurePosterior]:
+def with_grids(
+    rng: np.random.Generator, parts: Sequence[StructurePosterior], image: Image, beliefs: Beliefs
+) -> list[StructurePosterior]:
     """Return the structures and those in which some of their boxes are grids, weights still summing to what they did.
     Asked are upright boxes with nothing on them, those side by side on one floor or box that are flush as one."""
     found = []
     for part in parts:
         graph, _ = part.best()
         bodies = bodies_of(graph, blocks_of(graph), beliefs.loose.cartons.gap / image.unit, FLUSH / image.unit)
-        found += divide(part, [(names, grids_of(graph, names, image, beliefs)) for names in bodies])
+        found += divide(rng, part, [(names, grids_of(graph, names, image, beliefs)) for names in bodies])
     return sorted(found, key=lambda part: -part.weight)
 
 
@@ -216,15 +220,24 @@ def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Bel
               for number in range(1, cartons.most + 1)] for axis in range(3)]  # fmt: skip
     mean = [[float(np.logaddexp.reduce(gain)) - math.log(len(gain)) for gain in own] for own in gains]
     mean[UP] = [float(np.logaddexp(math.log1p(-cartons.groove), math.log(cartons.groove) + each)) for each in mean[UP]]
-    best = [[GAPS[gain.argmax()] * (axis != UP) for gain in own] for axis, own in enumerate(gains)]
+    gains[UP] = [np.zeros(1)] * cartons.most  # layers rest on each other
     coarsest = {axis: min(parts[axis] for parts in before) for axis, _ in cuts}
     known = sum(mean[axis][number - 1] for axis, number in coarsest.items())
     found = []
     for parts, odds in before.items():
-        chosen = [(axis, number - 1) for axis, number in enumerate(parts)]
-        odds += sum(mean[axis][k] for axis, k in chosen) - known
-        found.append(Grid(parts, odds, widest * np.array([best[axis][k] for axis, k in chosen])))
+        odds += sum(mean[axis][number - 1] for axis, number in enumerate(parts)) - known
+        own = [gains[axis][number - 1] for axis, number in enumerate(parts)]
+        likeliest = widest * GAPS[[gain.argmax() for gain in own]]
+        found.append(Grid(parts, odds, likeliest, partial(gaps_drawn, gains=own, widest=widest)))
     return found
+
+
+def gaps_drawn(rng: np.random.Generator, count: int, gains: Sequence[np.ndarray], widest: float) -> np.ndarray:
+    """Return (count, 3) metres of gaps as seams tell them.
+    gains : of each axis as `seam_gain` has them; of one gap alone where it is none. widest : metres of the widest."""
+    shares = [rng.choice(GAPS[: len(gain)], count, p=np.exp(gain - np.logaddexp.reduce(gain))) for gain in gains]
+    between = (GAPS[1] - GAPS[0]) * rng.uniform(-0.5, 0.5, (count, 3)) * [len(gain) > 1 for gain in gains]
+    return widest * np.abs(np.column_stack(shares) + between)
 
 
 def counts_of_grids(cartons: Cartons) -> dict[tuple[int, ...], int]:
@@ -306,7 +319,7 @@ def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float
 
 
 def divide(
-    part: StructurePosterior, bodies: Sequence[tuple[Sequence[str], Sequence[Grid]]]
+    rng: np.random.Generator, part: StructurePosterior, bodies: Sequence[tuple[Sequence[str], Sequence[Grid]]]
 ) -> list[StructurePosterior]:
     """Return a structure with its bodies, boxes or some that are flush, as found and as grids that are likely enough.
     bodies : (names, Grids that it may be) of each. Of what all may be together the MOST_KEPT likeliest are told."""
@@ -330,46 +343,56 @@ def divide(
     for place, (share, way) in enumerate(kept):
         piece = part if place == 0 and share > as_found else part.best_only()
         for names, grid in way:
-            piece = as_grid(piece, names, grid)
+            piece = as_grid(rng, piece, names, grid)
         made.append(piece.scaled(among * share))
     return made
 
 
-def as_grid(part: StructurePosterior, boxes: Sequence[str], grid: Grid) -> StructurePosterior:
-    """Return a structure whose box, or some that are flush, are a grid, its draws those of their hull."""
-    graph = with_cartons(part.graph, part.best()[0], boxes, grid)
-    every = max(1, part.log_density.shape[1] // DRAWS)
-    part = part.at((slice(None), slice(None, None, every)))
+def as_grid(rng: np.random.Generator, part: StructurePosterior, boxes: Sequence[str], grid: Grid) -> StructurePosterior:
+    """Return a structure whose box, or some that are flush, are a grid, its draws those of their hull and of gaps, the
+    likeliest in the best."""
+    graph = with_cartons(part.graph, part.best()[0], boxes, grid.parts, grid.gap)
     rest = part.only([k for k, address in enumerate(part.addresses) if address.partition(".")[0] not in boxes])
     own_addresses = [address for address in graph.numbers() if address.partition(".")[0] not in part.graph.names]
-    drawn = np.empty((*part.log_density.shape, len(own_addresses)))
-    for place in np.ndindex(part.log_density.shape):
+    shape = part.log_density.shape
+    gaps, drawn = grid.drawn(rng, math.prod(shape)).reshape(*shape, 3), np.empty((*shape, len(own_addresses)))
+    gaps[part.best_place] = grid.gap
+    for place in np.ndindex(shape):
         scene = part.graph_at(*place)
-        numbers = with_cartons(scene, scene, boxes, grid).numbers()
+        numbers = with_cartons(scene, scene, boxes, grid.parts, gaps[place]).numbers()
         drawn[place] = [numbers[address] for address in own_addresses]
     return replace(rest, graph=graph, addresses=(*rest.addresses, *own_addresses), periods=(),
                    values=np.concatenate([rest.values, drawn], axis=2))  # fmt: skip
 
 
-def with_cartons(graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], grid: Grid) -> SceneGraph:
+def with_cartons(
+    graph: SceneGraph, scene: SceneGraph, boxes: Sequence[str], parts: tuple[int, ...], gap: np.ndarray
+) -> SceneGraph:
     """Return a graph with a grid of cartons, lower layers first, in place of boxes whose hull in a scene it fills.
 
-    They are named by their grid: in one of other parts none of them is an object.
+    They are named by their grid: in one of other parts none of them is an object. parts : along the hull's axes.
+    gap : (3,) metres.
     """
-    (pose, extents), count = hull_of(scene, boxes), np.array(grid.parts)
-    size = (extents - (count - 1) * grid.gap) / count
-    first, beneath = f"{boxes[0]}_{'x'.join(map(str, grid.parts))}", graph.vertex(boxes[0]).parent
-    names = {place: f"{first}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
-    poses, bodies = {beneath: scene.poses()[beneath]}, {beneath: scene.body(beneath)}
+    (pose, extents), count = hull_of(scene, boxes), np.array(parts)
+    size = (extents - (count - 1) * gap) / count
+    first, beneath = f"{boxes[0]}_{'x'.join(map(str, parts))}", graph.vertex(boxes[0]).parent
+    names = {place: f"{first}_{number + 1}" for number, place in enumerate(np.ndindex(*parts))}
+    made, on = vertex_of(first, "box", size, Contact(ON_A_FACE[0])), scene.body(beneath)
+
+    def contact(relative: np.ndarray, parent: Body) -> Contact:
+        found, _ = nearest_contact(relative, parent, made.body, ON_A_FACE[0], "+z", "-z")
+        return without(found, "gap", *TILTS)
+
+    pose = inverse(scene.poses()[beneath]) @ pose
+    on_a_carton = contact(translation(0.0, 0.0, size[UP] + gap[UP]), made.body)  # of all that are not the lowest
     cartons = []
-    for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
-        parent = beneath if k == 0 else names[i, j, k - 1]
-        made = replace(vertex_of(own, "box", size, Contact(ON_A_FACE[0])), parent=parent)
-        poses[own] = pose @ translation(*((np.array([i, j, k]) - 0.5 * (count - 1)) * (size + grid.gap)))
-        bodies[own] = made.body
-        contact, _ = nearest_contact(inverse(poses[parent]) @ poses[own], bodies[parent], made.body, ON_A_FACE[0], "+z",
-                                     "-z")  # fmt: skip
-        cartons.append(replace(made, contact=without(contact, "gap", *TILTS)))
+    for place, name in sorted(names.items(), key=lambda item: item[0][UP]):
+        if place[UP]:
+            below = names[(*place[:UP], place[UP] - 1)]
+            cartons.append(replace(made, name=name, contact=on_a_carton, parent=below))
+        else:
+            there = pose @ translation(*((np.array(place) - 0.5 * (count - 1)) * (size + gap)))
+            cartons.append(replace(made, name=name, contact=contact(there, on), parent=beneath))
     for name in boxes:
         graph = graph.remove(name)
     return graph.add(*cartons)

@@ -243,7 +243,7 @@ def finished(rng: np.random.Generator, case: Case, parts: list[StructurePosterio
         return parts
     if not case.only_best:
         parts = with_rivals(rng, parts, seen, state, settings)
-    return with_grids(parts, image_of(seen, case, settings.temper), case.beliefs)
+    return with_grids(rng, parts, image_of(seen, case, settings.temper), case.beliefs)
 
 
 def image_of(seen: Observation, case: Case, temper: float) -> "Image":

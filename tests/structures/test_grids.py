@@ -23,6 +23,7 @@ from derender.structures.grids import (
     blocks_of,
     bodies_of,
     divide,
+    gaps_drawn,
     grids_of,
     hull_of,
     odds_before,
@@ -34,6 +35,7 @@ from worlds.made_scenes import render_floor_scene
 
 CAMERA = Camera(fx=290.0, fy=290.0, cx=159.5, cy=119.5, width=320, height=240)
 SIZE, SIGMA, GAP = np.array([0.36, 0.25, 0.22]), 0.004, 0.004
+EVEN = np.full(3, GAP), lambda rng, count: np.full((count, 3), GAP)  # of a Grid whose gaps are known
 
 
 def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05, slabs=1, board=0.0):
@@ -84,7 +86,7 @@ def counts_of(graph):
 
 def test_seams_that_show_tell_the_grid_and_layers_that_do_not_stay_open():
     part, image, block, whole = pallet()
-    found = with_grids([part], image, bare_image())
+    found = with_grids(np.random.default_rng(0), [part], image, bare_image())
     assert sum(each.weight for each in found) == pytest.approx(1.0)
     assert found == sorted(found, key=lambda each: -each.weight) and found[0].weight < 0.95
     right = [each for each in found if counts_of(each.graph) == (2, 6)]
@@ -105,10 +107,24 @@ def test_seams_that_show_tell_the_grid_and_layers_that_do_not_stay_open():
         assert each.graph_at(0, 0).names == each.graph.names
 
 
+def test_cartons_are_as_open_as_the_gaps_between_them_and_drawn_as_often_as_their_box():
+    """Of twenty draws chains that agreed seemed not to, and all had one gap: .2 of the sizes' intervals held them."""
+    part, image, *_ = pallet()
+    found = with_grids(np.random.default_rng(0), [part], image, bare_image())
+    whole = [each for each in found if each.values.shape[:2] == part.values.shape[:2]]
+    assert whole == found[:1]  # of the others the best draw alone is told
+    sizes = whole[0].values[..., [k for k, name in enumerate(whole[0].addresses) if name.endswith("_1.length")][0]]
+    assert 8e-5 < sizes.std() < 5e-4 and sizes.min() < SIZE[0] < sizes.max()  # their box alone leaves 5e-5
+    gains = [np.log([0.5, *[1e-9] * 7, 0.5]), np.zeros(1), np.log([1e-9, 1.0, *[1e-9] * 7])]
+    gaps = gaps_drawn(np.random.default_rng(0), 4000, gains, 0.008)
+    assert gaps[:, 0].mean() == pytest.approx(0.5 * (0.00025 + 0.008), abs=1e-4) and not gaps[:, 1].any()
+    assert gaps[:, 2].mean() == pytest.approx(0.001, abs=5e-5) and np.ptp(gaps[:, 2]) == pytest.approx(0.001, rel=0.02)
+
+
 def test_a_carton_is_as_probable_as_its_grid():
     """One at the same place among others, of another size, had its name: all were told at P 1.00, most wrong."""
     part, image, *_ = pallet(gap=0.0)
-    found = with_grids([part], image, bare_image())
+    found = with_grids(np.random.default_rng(0), [part], image, bare_image())
     names = [set(each.graph.names) - {"floor"} for each in found]
     assert len(found) > 1 and not any(one & other for one, other in combinations(names, 2))
 
@@ -116,7 +132,7 @@ def test_a_carton_is_as_probable_as_its_grid():
 def test_what_stands_on_a_pallet_may_be_a_grid_as_what_stands_on_the_floor():
     """Eleven cartons on a pallet were three boxes at P .95, and trusted."""
     part, image, block, _ = pallet(board=0.14)
-    found = with_grids([part], image, bare_image())
+    found = with_grids(np.random.default_rng(0), [part], image, bare_image())
     right = [each for each in found if each.graph.children("box_1") and len(each.graph.children("box_1")) == 6]
     assert right and max(each.weight for each in found) < 0.95
     graph, _ = right[0].best()
@@ -127,7 +143,7 @@ def test_what_stands_on_a_pallet_may_be_a_grid_as_what_stands_on_the_floor():
 
 def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_number_alone():
     part, image, *_ = pallet(gap=0.0)
-    assert max(each.weight for each in with_grids([part], image, bare_image())) < 0.6
+    assert max(each.weight for each in with_grids(np.random.default_rng(0), [part], image, bare_image())) < 0.6
     rng, count = np.random.default_rng(3), 4000
     place = np.column_stack([rng.uniform(0.0, 0.9, count), rng.uniform(0.0, 0.6, count), np.full(count, 0.4)])
     step, slope = np.full((count, 3), 0.006), np.full((count, 3), 0.02)
@@ -165,7 +181,7 @@ def test_layers_rest_on_each_other_and_what_shows_between_two_is_a_groove_of_the
 def test_slabs_that_are_flush_are_parts_of_one_grid():
     """Layers that no seam tells are as many in one slab as in the other, and both are made of the same cartons."""
     part, image, block, whole = pallet(slabs=2)
-    found = with_grids([part], image, bare_image())
+    found = with_grids(np.random.default_rng(0), [part], image, bare_image())
     assert sum(each.weight for each in found) == pytest.approx(1.0) and found[0].weight < 0.95
     assert sum(each.weight for each in found if counts_of(each.graph)[1] == 6) > 0.9
     for each in found:
@@ -208,8 +224,8 @@ def test_a_household_sets_boxes_against_each_other_without_their_being_pallets(s
 def test_grids_too_many_to_be_told_leave_the_one_box_its_share(many):
     """Of forty grids of .02 each and one box of .2 some are left out: the box keeps .2, and has none of their share."""
     part, *_ = pallet()
-    grids = [Grid((2, 2, 1 + k % 5), np.log(0.8 / many / 0.2), np.full(3, GAP)) for k in range(many)]
-    found = divide(part, [(("box_1",), grids)])
+    grids = [Grid((2, 2, 1 + k % 5), np.log(0.8 / many / 0.2), *EVEN) for k in range(many)]
+    found = divide(np.random.default_rng(0), part, [(("box_1",), grids)])
     assert sum(each.weight for each in found) == pytest.approx(1.0)
     assert found[0].graph.names == part.graph.names and found[0].weight == pytest.approx(0.2)
 
@@ -217,15 +233,15 @@ def test_grids_too_many_to_be_told_leave_the_one_box_its_share(many):
 def test_one_box_that_many_unlikely_grids_outweigh_is_not_sure():
     """Each of 60 grids is below what is told, and all of them together are a third."""
     part, *_ = pallet()
-    grids = [Grid((2, 2, 1), np.log(0.5 / 60), np.full(3, GAP))] * 60
-    assert divide(part, [(("box_1",), grids)])[0].weight == pytest.approx(2.0 / 3.0)
-    assert divide(part, [(("box_1",), [Grid((2, 2, 1), -20.0, np.full(3, GAP))] * 60)]) == [part]
+    grids = [Grid((2, 2, 1), np.log(0.5 / 60), *EVEN)] * 60
+    assert divide(np.random.default_rng(0), part, [(("box_1",), grids)])[0].weight == pytest.approx(2.0 / 3.0)
+    assert divide(np.random.default_rng(0), part, [(("box_1",), [Grid((2, 2, 1), -20.0, *EVEN)] * 60)]) == [part]
 
 
 def test_three_bodies_that_may_be_many_grids_are_told_by_what_is_likeliest_of_all_together():
     part, *_ = pallet(slabs=3)
-    grids = [Grid((2, 2, 1 + k), np.log(k + 1.0), np.full(3, GAP)) for k in range(4)]
-    found = divide(part, [((f"box_{k}",), grids) for k in (1, 2, 3)])
+    grids = [Grid((2, 2, 1 + k), np.log(k + 1.0), *EVEN) for k in range(4)]
+    found = divide(np.random.default_rng(0), part, [((f"box_{k}",), grids) for k in (1, 2, 3)])
     assert len(found) < 15 and sum(each.weight for each in found) == pytest.approx(1.0)
     assert len(found[0].graph.names) == 1 + 3 * 16, "the likeliest of all: each in four layers of four"
 
