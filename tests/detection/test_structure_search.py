@@ -22,6 +22,7 @@ from derender.detection.search.searches import (
     explain_rest,
     lower_side,
     parts,
+    support_all,
 )
 from derender.detection.solids.image import FAR, draw, make_image, make_row
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, penetration_beyond
@@ -393,6 +394,23 @@ def test_each_body_of_pixels_that_nothing_explains_gets_a_proposal(rng):
     np.testing.assert_allclose(centres, THREE[:, 10], atol=0.005)
     explain_rest(climb)
     assert climb.state is new  # where all is explained nothing is tried
+
+
+@pytest.mark.parametrize(("gain", "goes_on"), [(0.1, False), (5.0, True)])
+def test_what_floats_is_supported_as_long_as_that_is_worthwhile(rng, monkeypatch, gain, goes_on):
+    """A polish gains a little each time: one search made 5,700 tries."""
+    image = view_of(rng, THREE)[0]
+    floating = standing(THREE[:1]).add(upright(0.0, [-0.2, 0, 0.25], [0.1] * 3), UPRIGHT, False)
+    climb, tries = Climb(rng, Task(image, Settings()), floating), []
+
+    def takes(proposed):
+        tries.append(proposed)
+        climb.energy -= gain
+        return len(tries) < 50
+
+    monkeypatch.setattr(climb, "takes", takes)
+    support_all(climb)
+    assert (len(tries) >= 50) == goes_on
 
 
 def test_of_two_searches_each_part_is_taken_from_the_one_that_explains_it(rng):

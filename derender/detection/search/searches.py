@@ -383,13 +383,14 @@ def lower_side(points: np.ndarray, along: np.ndarray) -> np.ndarray | None:
 
 
 def support_all(climb: Climb) -> None:
-    """Try to put something under each solid that floats, or to raise what is below it, as long as that helps."""
-    places, tries = climb.places(), 0
-    while floats(climb.state) and tries < min(SUPPORTING * len(climb.state), climb.task.settings.repairs):
+    """Try to put something under each solid that floats, or to raise what is below it, as long as that is worthwhile:
+    polishing alone gains a little each time, and one search in hundreds went on so for a minute."""
+    settings, places, tries = climb.task.settings, climb.places(), 0
+    while floats(climb.state) and tries < min(SUPPORTING * len(climb.state), settings.repairs):
         proposed = (raise_support, put_under, stand)[tries % 3](climb.rng, climb.task, climb.state, places)
-        tries += 1
+        before, tries = climb.energy, tries + 1
         if proposed is not None and climb.takes(proposed):
-            places, tries = climb.places(), 0
+            places, tries = climb.places(), tries if climb.energy > before - settings.worthwhile else 0
 
 
 def floats(state: State) -> bool:
