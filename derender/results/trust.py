@@ -189,11 +189,14 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]]) -> t
         most = left_open(posterior, row)
         if worst:
             r_hat = f"R-hat {row['r_hat']:.3f}, " if np.isfinite(row["r_hat"]) else ""
-            words, needed = f"the chains disagree about {row['address']}: {r_hat}", enough_draws(worst, QUICK_LIMITS[0])
+            short = "the chain is too short for" if chains == 1 else "the chains are too short for"
+            differ = "the chains disagree about" if row["r_hat"] > QUICK_LIMITS[0] else short
+            words, needed = f"{differ} {row['address']}: {r_hat}", enough_draws(worst, QUICK_LIMITS[0])
         else:  # R-hat alone is above what many draws are asked for, by as little as a fourth digit
             r_hat = f"R-hat {row['r_hat']:.4f} (good up to {LIMITS[0]})"
             words, needed = f"the chains agree about {row['address']}, but not closely: {r_hat}, ", enough_draws(bad)
-        words += f"{row['ess_bulk']:.0f} effective draws"
+        count = f"{row['ess_bulk']:.0f}"
+        words += f"{count} effective draw{'s' * (count != '1')}"
         words += "" if np.isinf(most) else f", which leave {float(f'{1000 * most:.1g}'):g} mm open"
         names = {row["address"].partition(".")[0] for row in worst if left_open(posterior, row) >= faces}
         own = names if np.isfinite(most) or not worst else None  # else of the root or the likelihood
@@ -263,8 +266,10 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
         return told + notes
     if not rows or any(map(doubtful, rows)):
         return [*notes, f"nothing {'serious ' if notes else ''}speaks against this scene"]
-    if not r_hats or not counts:  # no two chains to compare
+    if not counts:
         return ["nothing speaks against this scene; without draws nothing tells how sure its numbers are", *notes]
     largest, smallest = limits(rows[0]["draws"].size)
-    agreement = f"the chains agree: R-hat is at most {max(r_hats):.3f} (good up to {largest})"
+    agreement = "nothing speaks against this scene; one chain has none to agree with (--chains 2 would)"
+    if r_hats:
+        agreement = f"the chains agree: R-hat is at most {max(r_hats):.3f} (good up to {largest})"
     return [f"{agreement}, effective draws are at least {min(counts):.0f} (good from {smallest:.0f})", *notes]

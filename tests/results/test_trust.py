@@ -191,13 +191,26 @@ def test_chains_that_disagree_about_an_object_say_nothing_of_others():
         assert doubt.serious and doubt.about == about and " would do" in doubt.words
     row = {**parameter_rows(["box_1.width"], values)[0], "r_hat": np.nan, "ess_bulk": 13.0}
     (doubt,) = chain_doubts(seen_by_a_sensor(0.0), [row])
-    assert doubt.words.startswith("the chains disagree about box_1.width: 13 effective draws, which leave")
+    assert doubt.words.startswith("the chains are too short for box_1.width: 13 effective draws, which leave")
     doubtful_thing = seen_by_a_sensor(0.0)
     doubtful_thing.best_part.values = np.zeros((1, 1, 0))
     for known, told in ((0.55, [False]), (0.7, [False]), (0.8, [])):
         doubtful_thing.meta["existence"] = {"box_1": (known, 0.1), "another": (0.6, 0.1)}
         found = chain_doubts(doubtful_thing, [])
         assert [doubt.serious for doubt in found] == told and all(doubt.about == ("box_1",) for doubt in found)
+
+
+def test_one_chain_neither_agrees_nor_disagrees():
+    """Of a chain of 1,000 draws it was said that there are no draws; of one worth too few, that the chains disagree."""
+    rng = np.random.default_rng(2)
+    (good,), (bad,) = (parameter_rows(["box_1.width"], chains(rho, 200, rng, count=1)) for rho in (0.0, 0.98))
+    (line,) = verdict((), [good])
+    assert "one chain has none to agree with" in line and "effective draws are at least 275 " in line
+    assert "without draws" in verdict((), parameter_rows(["box_1.width"], np.zeros((1, 1, 1))))[0]
+    posterior = seen_by_a_sensor(0.0)
+    posterior.best_part.values = np.zeros((1, 200, 1))
+    (doubt,) = chain_doubts(posterior, [{**bad, "ess_bulk": 1.2}])
+    assert doubt.words.startswith("the chain is too short for box_1.width: 1 effective draw, ")
 
 
 def test_what_touches_nothing_is_doubted():
