@@ -58,8 +58,8 @@ class Ledger:
         files = {str(path): sha256(Path(path).read_bytes()).hexdigest() for path in named if Path(path).is_file()}
         asked = {"options": list(order.words), "seed": order.options.seed}
         path = self.folder / RUN
-        if not path.exists():
-            write_text(path, json.dumps(asked | {"files": files}) + "\n")
+        if not path.exists() or not any(is_done(found.parent) for found in self.folder.rglob(THUMBNAIL)):
+            write_text(path, json.dumps(asked | {"files": files}) + "\n")  # of a run before this all may have failed
             return
         former: Any = {}
         with contextlib.suppress(DerenderError):

@@ -254,7 +254,9 @@ def test_what_was_removed_by_hand_is_in_no_table_any_more(tmp_path):
 
 
 def test_results_of_other_options_are_not_mixed(tmp_path):
-    Ledger(tmp_path, Order(words=["--quick"]))
+    Ledger(tmp_path, Order(words=["--draws", "5"]))
+    Ledger(tmp_path, Order(words=["--quick"]))  # the run before it made no result
+    done_folder(tmp_path, "more/a", summary(box()))
     with pytest.raises(DerenderError, match=r"other options \(--quick\); give the same ones, or another folder"):
         Ledger(tmp_path, Order(words=["--method", "mcmc"]))
 
@@ -265,6 +267,7 @@ def test_results_of_another_prior_are_not_mixed(tmp_path):
     order, out = Order(prior=str(prior), words=["--scene", str(prior)]), tmp_path / "out"
     Ledger(out, order)
     Ledger(out, order)
+    done_folder(out, "a", summary(box()))
     prior.write_text("second")
     with pytest.raises(DerenderError, match=r"prior\.yaml has changed since the results here were made"):
         Ledger(out, order)
@@ -309,6 +312,7 @@ def test_two_processes_may_find_the_same_result_outdated(tmp_path, monkeypatch):
 @pytest.mark.parametrize("told", ["5", '{"options": [1]}', '{"options": 5}', "[" * 100_000, "\x00"])
 def test_what_does_not_say_which_options_there_were_is_of_others(tmp_path, told):
     (tmp_path / "batch.json").write_text(told)
+    done_folder(tmp_path, "a", summary(box()))
     with pytest.raises(DerenderError, match=r"other options \(none\)"):
         Ledger(tmp_path, Order())
 
