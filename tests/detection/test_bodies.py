@@ -77,16 +77,24 @@ def test_a_body_suggests_the_solid_that_shows_it(kind, size):
     assert np.abs(np.sort(least[13:16]) - np.sort(size)).max() < 0.006
 
 
-def test_a_tilted_face_suggests_a_board_whose_foot_is_hidden():
-    size, tilt, origin = np.array([0.06, 0.15, 0.01]), np.radians(50.0), np.array([0.0, -1.0, 0.8])
+@pytest.mark.parametrize("tilt", [15.0, 50.0])
+def test_a_tilted_face_suggests_a_board_whose_foot_is_hidden(tilt):
+    size, tilt, origin = np.array([0.06, 0.15, 0.01]), np.radians(tilt), np.array([0.0, -1.0, 0.8])
     turn = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(tilt), -np.sin(tilt)], [0.0, np.sin(tilt), np.cos(tilt)]])
-    centre = np.array([0.1, 0.05, 0.5 * size[1] * turn[2, 1]])
+    centre = np.array([0.1, 0.05, 0.5 * size[1:] @ turn[2, 1:]])  # its lowest edge is on the floor
     local = np.random.default_rng(0).uniform(-0.5, 0.5, (2000, 3)) * size
     local[:, 2] = 0.5 * size[2]
     shown = local[local[:, 1] > -0.02]  # nothing of its lower end
     suggested = [h.row for h in body_hypotheses(centre + shown @ turn.T, origin, SHAPES) if int(h.row[0]) == BOX]
     assert min(np.abs(np.sort(row[13:16]) - np.sort(size)).max() for row in suggested) < 0.012
     assert min(np.linalg.norm(row[10:13] - centre) for row in suggested) < 0.006
+
+
+def test_a_level_underside_suggests_no_board_that_reaches_to_infinity():
+    """Seen from below its normal points straight down, and no way along it is the steepest way up."""
+    points = np.array([[x, 0.14, 1.0] for x in np.linspace(0.0, 0.06, 6)]) + [[0.0, y, 0.0] for y in (0.0, 0.002) * 3]
+    rows = np.array([h.row for h in body_hypotheses(points, np.array([0.0, -0.8, 0.8]), SHAPES)])
+    assert np.isfinite(rows).all()
 
 
 @pytest.mark.parametrize("count", range(1, 6))

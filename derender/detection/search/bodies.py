@@ -21,7 +21,6 @@ from derender.detection.search.proposals import (
     lying_circle,
     smallest_rectangle,
     snap,
-    tangent,
 )
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -174,15 +173,18 @@ def leaning_boards(points: np.ndarray, origin: np.ndarray, bottom: float) -> Ite
         spread, axes = np.linalg.svd(near - middle, full_matrices=False)[1:]
         off = np.abs((points - middle) @ axes[2])
     normal = axes[2] if axes[2] @ (origin - middle) > 0.0 else -axes[2]
-    if np.median(off) > FLAT * spread[1] / np.sqrt(len(near)) or snap(normal)[1] != "tilted":
+    scattered = np.median(off) > FLAT * spread[1] / np.sqrt(len(near))
+    if scattered or snap(normal)[1] != "tilted" or snap(-normal)[1] == "top":  # the last: an underside, level
         return
-    level = np.column_stack([*tangent(normal), normal])  # its second axis is the steepest way up
+    across = cross(UP, normal) / np.hypot(normal[0], normal[1])
+    level = np.column_stack([across, cross(normal, across), normal])  # its second axis is the steepest way up
     angle = smallest_rectangle(points @ level[:, :2])
     rotation = level @ rotation_z(angle if angle < 0.25 * np.pi else angle - 0.5 * np.pi)[:3, :3]
     low, high = ends_of(points @ rotation, BEYOND)
     high[2] = middle @ normal
     low[2] = high[2] - BOARD
-    further = np.array([0.0, (points[:, 2].min() - bottom) / rotation[2, 1], 0.0])
+    foot = bottom + BOARD * max(normal[2], 0.0)  # height at which the face seen ends: the board is thick below it
+    further = np.array([0.0, (points[:, 2].min() - foot) / rotation[2, 1], 0.0])
     for begin in (low, low - further) if further[1] > BOARD else (low,):
         row = make_row(BOX, rotation, rotation @ (0.5 * (begin + high)), np.maximum(high - begin, THINNEST))
         yield Solid(row, FREE)
