@@ -242,12 +242,15 @@ class Posterior(kept.Posterior):
             more than the posterior holds.
         The others are those of `derender.simulate`.
 
-        Of what was missed, with probability `missed`, no draw tells: half of that counts as the event.
+        Of what was missed, with probability `missed`, no draw tells: half of that counts as the event, of settling and
+        of falling a quarter each, so that the three verdicts' probabilities sum to one.
         """
-        graphs = self.each_graph(np.random.default_rng(seed), draws if until is None else MOST_DRAWS)
+        alone = not (self.uncertain or jitter)  # what happens to one scene does in every draw of it
+        count = draws if until is None else MOST_DRAWS
+        graphs = self.each_graph(np.random.default_rng(seed), min(count, 1) if alone else count)
         return probability(
             graphs, event, until=until, seed=seed, engine=engine, duration=duration, jobs=jobs, missed=self.missed,
-            push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter,
+            alone=alone, push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter,
         )  # fmt: skip
 
     def to_arviz(self) -> Any:

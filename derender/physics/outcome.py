@@ -131,6 +131,7 @@ def outcomes(
     jobs: int = 1,
     until: float | None = None,
     event: Callable[[Outcome], bool] = lambda outcome: outcome.stable,
+    before: float = 0.5,
 ) -> Iterator[Outcome]:
     """Yield what happens to each of many draws of a scene; that of draw k depends on the seed and on k alone.
 
@@ -138,6 +139,7 @@ def outcomes(
 
     jobs : threads; the result does not depend on it.
     until : stop as soon as the standard error of the event's probability is no greater, after 10 scenes at least.
+    before : the event's probability before any draw, see `chance_of`.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -164,7 +166,7 @@ def outcomes(
             yield outcome
             if until is not None:
                 happened.append(bool(event(outcome)))
-                if len(happened) >= LEAST_DRAWS and chance_of(happened).error <= until:
+                if len(happened) >= LEAST_DRAWS and chance_of(happened, before).error <= until:
                     break
     for name in sorted(what.names - known if known else ()):
         raise DerenderError(f"no object is called {name!r}", None, suggest(name, sorted(known)))
@@ -200,6 +202,7 @@ def probability(
     duration: float = 2.0,
     jobs: int = 1,
     missed: float = 0.0,
+    alone: bool = False,
     **acts: Any,
 ) -> Chance:
     """Return how probable an event is over scenes, such as the draws of a posterior.
@@ -208,22 +211,24 @@ def probability(
         moves.
     until : stop as soon as the standard error is no greater, after 10 draws at least.
     missed : see `chance_of`; of a posterior, `Posterior.missed`.
+    alone : whether the scene, of which there is one, is the only one that there can be, so that it is no draw.
     acts : as of `simulate_scene`.
     """
     what = intervention(**acts)
     bodies: set[str] = set()
-    verdicts = {STANDS, SETTLES, FALLS}
+    verdicts, before = {STANDS, SETTLES, FALLS}, 0.5
     if isinstance(event, str):
-        word = event
+        word, before = event, BEFORE.get(event, before)
 
         def event(outcome: Outcome) -> bool:
             bodies.update(body.name for body in outcome.matter.bodies)
             return outcome.verdict == word if word in verdicts else word in outcome.fallen
 
-    happened = [bool(event(run)) for run in outcomes(scenes, what, seed, engine, duration, jobs, until, event)]
+    runs = outcomes(scenes, what, seed, engine, duration, jobs, until, event, before)
+    happened = [bool(event(run)) for run in runs]
     if not happened:
         raise DerenderError("there are no draws", None, "give draws from 1")
-    chance = chance_of(happened, missed=missed)
+    chance = chance_of_one(happened[0], before, missed) if alone else chance_of(happened, before, missed)
     if bodies and word not in verdicts | bodies:
         raise DerenderError(f"{word!r} is no verdict and no object", None, suggest(word, verdicts | bodies))
     return chance

@@ -421,6 +421,20 @@ def test_interventions_act_on_scenes_and_posteriors(posterior):
         scene.simulate(0.1, pusch="green:+x:5N@0.3s")
 
 
+def test_probabilities_of_the_three_verdicts_sum_to_one_and_are_those_of_simulate(posterior):
+    """They summed to 1.06, and a scene without draws was counted as twenty of them."""
+    words = ("stands", "settles", "falls")
+    drawn = [posterior.probability(word, engine="statics", draws=8) for word in words]
+    assert sum(chance.probability for chance in drawn) == pytest.approx(1.0) and drawn[0].draws == 8
+    alone = derender.Posterior.of(replace(posterior, parts=(posterior.best_part.best_only(),)), posterior.image)
+    assert not alone.uncertain
+    said = derender.simulate(alone, engine="statics")
+    once = [alone.probability(word, engine="statics") for word in words]
+    assert sum(chance.probability for chance in once) == pytest.approx(1.0)
+    assert once[0] == (said.p_stable, said.p_stable_error, 1)
+    assert alone.probability("stands", engine="statics", jitter="5mm,2deg", draws=8).draws == 8
+
+
 def test_what_could_not_stand_is_ruled_out(image):
     few = {"prior": "stack", "draws": 20, "warmup": 10, "assume_stable": True}
     stands = derender.sample("stack", seed=1).render(derender.Camera.from_field_of_view(64, 48), noise=True)
