@@ -1,6 +1,6 @@
 """What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from derender.camera.intrinsics import Camera
-    from derender.document import Document
+    from derender.document import Document, LikelihoodPrior
     from derender.results.posterior import Posterior
     from derender.scene.graph import SceneGraph
     from derender.scene.priors.tree import Prior
@@ -26,7 +26,7 @@ class Found(NamedTuple):
     camera: "Camera | None"
     prior: "Prior | None" = None  # where the scene was drawn from one
     posterior: "Posterior | None" = None
-    likelihood: Mapping[str, Any] = {}  # its numbers by name, {} where there is none
+    likelihood: "LikelihoodPrior | None" = None  # how its images come about
 
     @property
     def missed(self) -> float:
@@ -88,11 +88,8 @@ def read_scene(path: str, seed: int | None = None) -> Found:
 
     Raises DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
     """
-    import numpy as np
-
     from derender.document import read_prior_document
-    from derender.report.contents import likelihood_numbers
-    from derender.scene.priors.reading import with_drawn_matter
+    from derender.posterior.forward import draw_documents
 
     folder = Path(path)
     name = "scene" if path == "-" else folder.resolve().name if folder.is_dir() else folder.stem
@@ -102,12 +99,11 @@ def read_scene(path: str, seed: int | None = None) -> Found:
         from derender.results.posterior import load
 
         posterior = load(folder)
-        numbers = likelihood_numbers(document.likelihood)
-        return Found(name, posterior.best_graph(), document.camera, None, posterior, numbers)
+        return Found(name, posterior.best_graph(), document.camera, None, posterior, document.likelihood)
     if seed is not None and not document.is_scene:
-        rng = np.random.default_rng(seed)
-        return Found(name, with_drawn_matter(document.prior.sample(rng), rng), document.camera, document.prior)
-    return Found(name, document.graph, document.camera, likelihood=likelihood_numbers(document.likelihood))
+        (drawn,) = draw_documents(document, 1, seed, {})  # the one that `derender sample` writes
+        return Found(name, drawn.graph, document.camera, document.prior, likelihood=drawn.likelihood)
+    return Found(name, document.graph, document.camera, likelihood=document.likelihood)
 
 
 def drawn_scenes(path: str, count: int, seed: int) -> "Iterator[Found]":
@@ -124,7 +120,7 @@ def drawn_scenes(path: str, count: int, seed: int) -> "Iterator[Found]":
         raise DerenderError("this is a scene, not a prior: nothing is drawn", path, "leave out -n")
     for number, drawn in enumerate(draw_documents(document, count, seed, {})):
         name = f"{'prior' if path == '-' else folder.stem}/{sample_name(number, count)}"
-        yield Found(name, drawn.graph, drawn.camera)
+        yield Found(name, drawn.graph, drawn.camera, likelihood=drawn.likelihood)
 
 
 def sample_name(number: int, count: int) -> str:

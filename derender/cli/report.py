@@ -60,7 +60,7 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     import numpy as np
 
     from derender.cli.reading import read_explained, read_observation, read_scene, read_simulation
-    from derender.report.contents import report_of
+    from derender.report.contents import likelihood_numbers, report_of
 
     found = [read_scene(folder) for folder in folders]
     first = found[0]
@@ -91,7 +91,8 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
         and len({each.posterior.best_part.values.shape[1] for each in found if each.posterior}) > 1
     ):
         facts["draws of each chain"] = f"{posterior.best_part.values.shape[1]}: all are cut to the shortest"
-    report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)
+    sensor = likelihood_numbers(first.likelihood)
+    report = report_of(graph, camera, observed, posterior, names, facts, sensor, told=told)
     if place is None:
         return report, first.name
     simulated, animations = read_simulation(place)

@@ -164,7 +164,8 @@ def command(
 
         if not best.trajectory.resting:
             talk.warn(f"not all is at rest after {duration:g} s: it is written as it is then; give a longer --duration")
-        write_document(settle, settled_graph(source.graph, best.trajectory, best.matter), source.camera, None, made)
+        settled = settled_graph(source.graph, best.trajectory, best.matter)
+        write_document(settle, settled, source.camera, source.likelihood, made)
         talk.say(f"wrote {settle}")
     if animate is not None:
         _animate(animate, source, best, talk)

@@ -113,6 +113,8 @@ def test_simulate_the_scenes_that_are_drawn_from_a_prior(capsys, folder):
     status, _, talk = run(capsys, "simulate", "stands.yaml", "-n", "3")
     assert status == 1 and "this is a scene, not a prior" in talk and "leave out -n" in talk
     shutil.rmtree("drawn")
+    alone = run(capsys, "simulate", "stack", *asked)[1]
+    assert json.loads(alone)["margin"] == drawn[0]["margin"]  # the first drawn, without -n, is that of `sample` too
 
 
 def test_an_interrupted_table_keeps_the_scenes_so_far(capsys, folder, monkeypatch):
@@ -133,6 +135,16 @@ def test_an_interrupted_table_keeps_the_scenes_so_far(capsys, folder, monkeypatc
 def test_simulate_a_posterior(capsys, folder):
     found = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1")[1])
     # Three draws in four stand: of 80, 60 with a standard deviation of 3.9.
+def test_a_settled_scene_keeps_how_its_images_come_about(capsys, folder):
+    """It lost its noise and blur: an image of it was 22,800 nats less likely after settling."""
+    run(capsys, "sample", "stack", "--seed", "1", "-o", "drawn")
+    for scene in ("drawn/sample_000.yaml", "stack"):
+        run(capsys, "simulate", scene, "--seed", "1", "--settle", "settled.yaml")
+        kept = read_document("settled.yaml").likelihood
+        assert kept is not None and kept == read_document("drawn/sample_000.yaml").likelihood
+    shutil.rmtree("drawn")
+
+
     assert found["stable"] is True and abs(found["p_stable"] - 0.75) < 4 * 3.9 / 80 and found["draws"] == 80
     assert json.loads((folder / "out" / "simulation.json").read_text())["p_stable"] == found["p_stable"]
     again = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1", "--jobs", "1")[1])
