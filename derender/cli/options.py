@@ -58,10 +58,11 @@ class Talk:
     """What a command says to a person, on stderr; stdout is for data.
 
     level : -1 quiet (warnings only), 0 normal, 1 verbose.
+    about : what is told of where that is one of many, such as a file: warnings begin with it.
     """
 
-    def __init__(self, level: int = 0) -> None:
-        self.level = level
+    def __init__(self, level: int = 0, about: str = "") -> None:
+        self.level, self.about = level, about
 
     def say(self, message: str, always: bool = False) -> None:
         """Say what a person who did not ask for silence should know; always: also one who did."""
@@ -94,7 +95,7 @@ class Talk:
 
     def warn(self, message: str) -> None:
         """Say what must be seen even under -q."""
-        self._echo(f"warning: {message}")
+        self._echo(f"warning: {self.about}{': ' * bool(self.about)}{message}")
 
     def _echo(self, message: str) -> None:
         with contextlib.suppress(OSError):  # what cannot be told costs nothing of what is done

@@ -247,7 +247,7 @@ def _table(
         for name, found in talk.counted(sources, len(paths) * (count or 1), "simulating scene"):
             try:
                 found = found or read_scene(name, ask["seed"])
-                rows.append(row_of(name, _one(found, what, ask, margin or as_json, False, Talk(-1))[0]))
+                rows.append(row_of(name, _one(found, what, ask, margin or as_json, False, Talk(-1, name))[0]))
             except DerenderError as error:
                 talk.warn(f"{name}: {error}")
                 rows.append(row_of(name, {"fault": str(error)}))

@@ -98,6 +98,8 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     assert b'"animations"' in (folder / "fall.glb").read_bytes()
     assert "of 3 draws stand" in run(capsys, "simulate", "stack", "--draws", "3")[1]
     for name in ("settled.yaml", "t.csv", "fall.glb"):
+    talk = run(capsys, "simulate", "stack", "-n", "2", "--seed", "1", "--engine", "statics", "--until", "1%")[2]
+    assert "warning: stack/sample_001: --until says nothing here" in talk
         (folder / name).unlink()
 
 
