@@ -285,22 +285,24 @@ def _lines(found: Any) -> Iterator[Any]:
         yield f"{name} says otherwise of the scene at rest: {word}"
     if found["margin"] is not None:
         yield f"margin {found['margin']:.3f} g"
-    missed = told_of_missed(found)
-    if found["draws"] > 1 or missed:
+    missed, drawn = told_of_missed(found), found["p_stable_error"] > 0.0
+    if drawn or missed:
         stood, count = found["draws_stable"], found["draws"]
         how = f"{stood} of {count} draws stand, told as (k + 1/2) / (n + 1)"
-        drawn = f" ± {found['p_stable_error']:.3f}: {how}" if count > 1 else ""
-        yield f"P(stable) = {found['p_stable']:.3f}{drawn}" + (f"; {missed}" if missed else "")
-        yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())
+        error = f" ± {found['p_stable_error']:.3f}: {how}" if drawn else ""
+        yield f"P(stable) = {found['p_stable']:.3f}{error}" + (f"; {missed}" if missed else "")
+        said = {word: f"{share:.3f}" for word, share in found["p_verdict"].items()}
+        if drawn:
+            said = {word: f"{share} ± {found['p_verdict_error'][word]:.3f}" for word, share in said.items()}
+        yield "  ".join(f"P({word}) = {share}" for word, share in said.items())
     rows = [
         [name, number_or_dash(1000 * found["displacement"].get(name, np.nan), ".1f"),
          number_or_dash(np.degrees(found["rotation"].get(name, np.nan)), ".1f"),
-         *([number_or_dash(share, ".3f"), number_or_dash(found["p_falls_error"][name], ".3f")]
-           if found["draws"] > 1 else [])]
+         *([number_or_dash(share, ".3f"), number_or_dash(found["p_falls_error"][name], ".3f")] if drawn else [])]
         for name, share in found["p_falls"].items()
     ]  # fmt: skip
     if rows:
-        header = ("object", "moved, mm", "turned, deg", *(["P(falls)", "±"] if found["draws"] > 1 else []))
+        header = ("object", "moved, mm", "turned, deg", *(["P(falls)", "±"] if drawn else []))
         yield text_table(rows, header)
     if found.get("forces"):
         rows = [

@@ -298,32 +298,35 @@ BEFORE = {STANDS: 0.5, SETTLES: 0.25, FALLS: 0.25}
 LEAST_TOLD = 0.01  # of a probability that is said with two digits
 # As `summary_of` names them: p_verdict_settles, p_verdict_falls are of the scene, p_falls of each of its objects.
 COLUMNS = (
-    "scene", "verdict", "stable", "p_stable", "p_stable_error", "p_verdict_settles", "p_verdict_falls", "draws",
-    "missed", "margin", "fallen", "p_falls", "mujoco", "statics", "assumed", "fault",
+    "scene", "verdict", "stable", "p_stable", "p_stable_error", "p_verdict_settles", "p_verdict_settles_error",
+    "p_verdict_falls", "p_verdict_falls_error", "draws", "missed", "margin", "fallen", "p_falls", "mujoco", "statics",
+    "assumed", "fault",
 )  # fmt: skip
 
 
 def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], missed: float = 0.0) -> dict[str, Any]:
     """Return what `derender simulate --json` prints of a scene.
 
-    best : of the most probable scene. runs : of the draws; the scene's own alone where it is certain.
+    best : of the most probable scene. runs : of the draws; `best` alone where there are none.
     assumed : sentences. missed : see `chance_of`.
     """
 
     def chance(alone: bool, drawn: Sequence[bool], word: str) -> Chance:
-        if len(runs) > 1:
-            return chance_of(drawn, BEFORE[word], missed)
-        return chance_of_one(alone, BEFORE[word], missed)
+        if len(runs) == 1 and runs[0] is best:
+            return chance_of_one(alone, BEFORE[word], missed)
+        return chance_of(drawn, BEFORE[word], missed)
 
     stood = [run.stable for run in runs]
     stable = chance(best.stable, stood, STANDS)
+    verdicts = {word: chance(best.verdict == word, [run.verdict == word for run in runs], word) for word in BEFORE}
     found: dict[str, Any] = {
         "verdict": best.verdict,
         "margin": best.margin,
         "stable": best.stable,
         "p_stable": stable.probability,
         "p_stable_error": stable.error,
-        "p_verdict": {w: chance(best.verdict == w, [run.verdict == w for run in runs], w).probability for w in BEFORE},
+        "p_verdict": {word: told.probability for word, told in verdicts.items()},
+        "p_verdict_error": {word: told.error for word, told in verdicts.items()},
         "p_falls": {},
         "p_falls_error": {},
         "engines": best.by_engine,
@@ -370,5 +373,6 @@ def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     if "fault" in found:
         return row
     words = {"fallen": " ".join(found["fallen"]), "assumed": "; ".join(found["assumed"])}
-    words |= {f"p_verdict_{word}": found["p_verdict"][word] for word in (SETTLES, FALLS)}
+    for word in (SETTLES, FALLS):
+        words |= {f"p_verdict_{word}{end}": found[f"p_verdict{end}"][word] for end in ("", "_error")}
     return row | words | dict(found["engines"])

@@ -78,7 +78,9 @@ def _simulated(report: Report) -> str:
         from derender.physics.outcome import told_of_missed  # only where it was simulated: physics takes a while
 
         missed = told_of_missed(told)
-        words.append(f"P(stable) {told['p_stable']:.2f}" + (f" ({missed})" if missed else ""))
+        error = told.get("p_stable_error")
+        drawn = f" ± {error:.3f}" if isinstance(error, int | float) and error else ""  # as on the terminal
+        words.append(f"P(stable) {told['p_stable']:.3f}{drawn}" + (f" ({missed})" if missed else ""))
     moving = "".join(f'<figure><img src="{uri}" alt="the scene as it moves"></figure>' for uri in report.animations)
     how = f' <span class="soft">{escape(told["command"])}</span>' if isinstance(told.get("command"), str) else ""
     return f"<p>{escape(', '.join(words))}.{how}</p>" + (f'<div class="pictures">{moving}</div>' if moving else "")

@@ -94,12 +94,13 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
         1
     )
     assert fell["p_falls"].startswith("low=0.0") and " top=0.89" in fell["p_falls"]
+    assert 0.0 < float(fell["p_verdict_settles_error"]) < float(fell["p_verdict_falls_error"]) < 0.2
     assert run(capsys, "simulate", "falls.yaml", "--animate", "fall.glb", "--duration", "0.3")[0] == 0
     assert b'"animations"' in (folder / "fall.glb").read_bytes()
     assert "of 3 draws stand" in run(capsys, "simulate", "stack", "--draws", "3")[1]
-    for name in ("settled.yaml", "t.csv", "fall.glb"):
     talk = run(capsys, "simulate", "stack", "-n", "2", "--seed", "1", "--engine", "statics", "--until", "1%")[2]
     assert "warning: stack/sample_001: --until says nothing here" in talk
+    for name in ("settled.yaml", "t.csv", "fall.glb"):
         (folder / name).unlink()
 
 
@@ -112,11 +113,11 @@ def test_simulate_the_scenes_that_are_drawn_from_a_prior(capsys, folder):
     files = [json.loads(line) for line in run(capsys, "simulate", "drawn", *asked)[1].splitlines()]
     assert [{**row, "scene": ""} for row in drawn] == [{**row, "scene": ""} for row in files]
     assert len({row["margin"] for row in drawn}) > 1
+    alone = run(capsys, "simulate", "stack", *asked)[1]
+    assert json.loads(alone)["margin"] == drawn[0]["margin"]  # the first drawn, without -n, is that of `sample` too
     status, _, talk = run(capsys, "simulate", "stands.yaml", "-n", "3")
     assert status == 1 and "this is a scene, not a prior" in talk and "leave out -n" in talk
     shutil.rmtree("drawn")
-    alone = run(capsys, "simulate", "stack", *asked)[1]
-    assert json.loads(alone)["margin"] == drawn[0]["margin"]  # the first drawn, without -n, is that of `sample` too
 
 
 def test_an_interrupted_table_keeps_the_scenes_so_far(capsys, folder, monkeypatch):
@@ -134,9 +135,6 @@ def test_an_interrupted_table_keeps_the_scenes_so_far(capsys, folder, monkeypatc
     assert len(list(csv.DictReader((folder / "table.csv").open()))) == 2
 
 
-def test_simulate_a_posterior(capsys, folder):
-    found = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1")[1])
-    # Three draws in four stand: of 80, 60 with a standard deviation of 3.9.
 def test_a_settled_scene_keeps_how_its_images_come_about(capsys, folder):
     """It lost its noise and blur: an image of it was 22,800 nats less likely after settling."""
     run(capsys, "sample", "stack", "--seed", "1", "-o", "drawn")
@@ -147,6 +145,9 @@ def test_a_settled_scene_keeps_how_its_images_come_about(capsys, folder):
     shutil.rmtree("drawn")
 
 
+def test_simulate_a_posterior(capsys, folder):
+    found = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1")[1])
+    # Three draws in four stand: of 80, 60 with a standard deviation of 3.9.
     assert found["stable"] is True and abs(found["p_stable"] - 0.75) < 4 * 3.9 / 80 and found["draws"] == 80
     assert json.loads((folder / "out" / "simulation.json").read_text())["p_stable"] == found["p_stable"]
     again = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1", "--jobs", "1")[1])

@@ -339,6 +339,9 @@ def test_what_a_search_missed_may_stand_or_fall(graph):
     assert alone["p_stable"] == pytest.approx(0.8) and alone["missed"] == 0.4 and alone["p_stable_error"] == 0.0
     assert alone["p_verdict"] == pytest.approx({"stands": 0.8, "settles": 0.1, "falls": 0.1})
     assert summary_of(runs[0], runs[:1], [])["p_stable"] == 1.0  # of a scene that is given
+    drawn = summary_of(runs[0], runs[1:2], [])  # one draw that stands makes nothing sure
+    assert drawn["p_stable"] == 0.75 and drawn["p_verdict"] == {"stands": 0.75, "settles": 0.125, "falls": 0.125}
+    assert drawn["p_verdict_error"]["falls"] == chance_of([False], 0.25).error > 0.0
 
 
 def test_a_settled_scene_is_a_scene_that_stands(graph, tmp_path):

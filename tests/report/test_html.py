@@ -151,9 +151,11 @@ def test_the_picture_of_the_residual_is_of_the_misfit_beside_the_verdict(report)
 
 def test_what_a_probability_counts_for_what_was_missed_is_told(report):
     told = {"verdict": "stands", "p_stable": 0.93}
-    assert "P(stable) 0.93 (half of the .10 that" in page(report._replace(simulated=told | {"missed": 0.1}))
-    for nothing in ({}, {"missed": 0.001}, {"missed": "x"}):
-        assert "P(stable) 0.93." in page(report._replace(simulated=told | nothing))
+    assert "P(stable) 0.930 (half of the .10 that" in page(report._replace(simulated=told | {"missed": 0.1}))
+    for nothing in ({}, {"missed": 0.001}, {"missed": "x"}, {"p_stable_error": "x"}, {"p_stable_error": 0.0}):
+        assert "P(stable) 0.930." in page(report._replace(simulated=told | nothing))
+    drawn = told | {"p_stable": 0.9968, "p_stable_error": 0.0043}  # it was "P(stable) 1.00"
+    assert "P(stable) 0.997 ± 0.004." in page(report._replace(simulated=drawn))
 
 
 def test_page_is_well_formed_and_needs_no_network(report):
