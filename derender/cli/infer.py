@@ -37,13 +37,15 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
         )  # fmt: skip
     if not watch:
         click.echo(outcome.table())
+    for doubt in outcome.track.doubts:
+        talk.say(f"not to be trusted: {doubt}", always=True)
     if arguments["dynamics"]:
         from derender.tracking.materials import materials_to_folder
 
         for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line(), believed):
             click.echo(line)
     talk.say(f"wrote {outcome.folder}/")
-    return None
+    return 3 if arguments["strict"] and not outcome.track.trusted else None
 
 
 def _is_recording(image: str) -> bool:
@@ -64,7 +66,7 @@ OF_THE_RUN = frozenset(
 )
 # Options that are dropped where others stand; what depends on files is told by `workflow.check_request`.
 OF_IMAGES = ("rotate", "confidence", "least_confidence", "up", "topic", "method", "quick", "gradient", "chains",
-             "draws", "warmup", "budget", "assume_stable", "scheduler", "strict", "resume", "jobs", "page")  # fmt: skip
+             "draws", "warmup", "budget", "assume_stable", "scheduler", "resume", "jobs", "page")  # fmt: skip
 IDLE = (
     Idle(OF_IMAGES, lambda given: given["track"], "--track follows what the first frame of a film shows"),
     Idle(("least_confidence",), lambda given: not given["confidence"], "it is for --confidence"),
@@ -220,7 +222,8 @@ def command(talk: Talk, **arguments: Any) -> int | None:
 
     With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz or .npy (T, H, W). The camera
     file may say `fps` and `gravity` (m/s^2, camera axes). Writes DIR/track.npz, DIR/track.json, DIR/events.jsonl and
-    DIR/report.html with a time line. With --dynamics also DIR/dynamics.npz, draws of friction, restitution, mass ratios
+    DIR/report.html with a time line; a camera that seems to move without --moving-camera, and what else is in doubt, is
+    told as of one image. With --dynamics also DIR/dynamics.npz, draws of friction, restitution, mass ratios
     and velocities (chain, draw), and in track.json, under `parameters`, those that the motion tells (of things that
     never meet each its own, such as friction.box_1), and under `ahead` where what still moves at the end will come to
     rest; --prior is then a YAML file whose section `dynamics` says what

@@ -141,8 +141,9 @@ def materials_to_folder(
         ahead |= {} if answers[-1].unexplained else rests_ahead(found, part, rng)
     write_draws(folder / "dynamics.npz", answers, seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
-    said["notes"] = [*said.get("notes", ()), *(note for answer in answers for note in answer.notes())]
-    write_text(folder / "track.json", json.dumps({**said, "parameters": parameters_of(answers), "ahead": ahead}))
+    track.doubts += [note for answer in answers for note in answer.notes()]
+    said |= {"trusted": track.trusted, "doubts": track.doubts, "parameters": parameters_of(answers), "ahead": ahead}
+    write_text(folder / "track.json", json.dumps(said))
     lines = [line for answer in answers for line in answer.lines()]
     for name, told in ahead.items():
         where = ", ".join(

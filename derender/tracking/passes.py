@@ -62,6 +62,7 @@ class Passes:
             if not start.things:
                 continue
             other = self.go(anchor, start)
+            other.forward.floor_moved = found.forward.floor_moved = found.floor_moved() or other.floor_moved()
             if other.cut is None and other.cost() < found.cost() - BETTER:
                 found = other
             if found.explained():
@@ -127,6 +128,10 @@ class Pass:
         before, after = self.backward, range(len(self.forward.seen))
         back = [] if before is None else [(self.anchor - n, before, n) for n in range(len(before.seen) - 1, 0, -1)]
         return back + [(self.anchor + n, self.forward, n) for n in after]
+
+    def floor_moved(self) -> bool:
+        """Whether it shows the floor elsewhere than where it begins."""
+        return any(recorder is not None and recorder.floor_moved for recorder in (self.forward, self.backward))
 
     def costs(self) -> np.ndarray:
         """Return the cost of each frame in nats, and its pixels, (2, T)."""

@@ -72,6 +72,8 @@ def track_json(track: Track) -> dict[str, Any]:
         "objects": objects,
         "parameters": {},
         "notes": track.notes,
+        "trusted": track.trusted,
+        "doubts": track.doubts,
     }
 
 
@@ -95,7 +97,7 @@ def write_track(folder: Path, track: Track, page: str, made: dict[str, Any]) -> 
             parent_names=np.array(["", "floor", *track.names], str), parent_probability=track.parent_probability,
             views=track.views, floor=np.full((4, 4), np.nan) if track.floor is None else track.floor,
             gravity=track.gravity, rounds=track.rounds, pixels=track.pixels,
-            header=np.array(json.dumps({**made, "notes": track.notes, "cut": track.cut})),
+            header=np.array(json.dumps({**made, "notes": track.notes, "doubts": track.doubts, "cut": track.cut})),
         )  # fmt: skip
         (temporary / "track.json").write_text(json.dumps({**track_json(track), **made}), encoding="utf-8")
         lines = "".join(json.dumps(event) + "\n" for event in events_of(track))
@@ -122,7 +124,8 @@ def report_page(
         f"{len(track.names)} thing{'s' if len(track.names) != 1 else ''}, {len(track.times)} frames, {seconds:.2f} s"
     )
     words += f"; lost in {lost} object-frames" if lost else "; nothing lost"
-    notes = "".join(f'<p class="bad">{escape(note[0].upper() + note[1:])}.</p>' for note in track.notes)
+    told = [*(f"not to be trusted: {doubt}" for doubt in track.doubts), *track.notes]
+    notes = "".join(f'<p class="bad">{escape(note[0].upper() + note[1:])}.</p>' for note in told)
     inside = (
         f"<h1>{escape(title)}</h1><p>{words}</p>{notes}"
         + _film(track, frames, camera)

@@ -9,6 +9,7 @@ from derender.camera.intrinsics import Camera
 from derender.detection.floor import frame_of
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
+from derender.tracking.steadiness import doubts_of_camera, floor_moves
 from derender.tracking.thing import FOLLOWED, MOVING, NOT_FOLLOWED, STILL, Seen, Start, thing_of
 from derender.tracking.tracker import Tracker
 
@@ -44,9 +45,15 @@ class Track:
     rounds: np.ndarray  # (T,) sets of normal equations
     pixels: np.ndarray  # (T, N, 4), see fit.pixels_of
     notes: list[str] = field(default_factory=list)  # what was assumed, as sentences
+    doubts: list[str] = field(default_factory=list)  # what speaks against it, as sentences
     cut: int | None = None  # the first frame that is not tracked, or None
     rate_spread: float = 0.0  # standard deviation of the frame rate's logarithm: 0 where somebody gave it
     level_spread: float = 0.0  # standard error of gravity's inclination to the floor, radians
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.doubts
 
     def parents(self) -> list[list[str | None]]:
         """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""
@@ -89,18 +96,20 @@ class Recorder:
         moving_camera: bool = False,
         infer: Any = None,
     ) -> None:
-        self.notes = [f"where the film begins, {doubt}" for doubt in start.doubts]
+        self.notes: list[str] = []
+        self.doubts = [f"where the film begins, {doubt}" for doubt in start.doubts]
         self.gravity = UP * start.down if gravity is None else np.asarray(gravity, float)
         if start.floor is not None and self.gravity @ start.floor[:3, 2] > 0:
             self.gravity = -self.gravity
             self.notes.append("gravity as given points up from the floor, as an accelerometer reads: taking it down")
         if moving_camera and len(start.things) == 1:
-            self.notes.append(ALONE.format(start.things[0].name))
+            self.doubts.append(ALONE.format(start.things[0].name))
         self.tracker = Tracker(camera, start, depth, self.gravity, step, moving_camera)
         self.seen: list[Seen] = [self.tracker.report([])]
         self.sizes = [np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3)]
         self.infer, self.looks, self.waiting = infer, 0, 0
         self.cut: int | None = None
+        self.floor_moved = False  # whether a frame shows the floor elsewhere than the first one
 
     def advance(self, depth: np.ndarray) -> bool:
         """Take the next frame; False where it shows another scene: nothing is followed into it."""
@@ -109,11 +118,12 @@ class Recorder:
         seen = self.tracker.advance(depth)
         if self._is_cut():
             self.cut = len(self.seen)
-            self.notes.append(
+            self.doubts.append(
                 f"frame {self.cut} shows another scene, or the camera was moved: what comes from there on is not "
                 "tracked; split the film there, or give --moving-camera"
             )
             return False
+        self.floor_moved = self.floor_moved or (not self.tracker.moving_camera and floor_moves(self.tracker))
         if self._newcomers(depth, seen):
             seen = self.tracker.report(seen.blobs)
         self.seen.append(seen)
@@ -148,8 +158,8 @@ class Recorder:
             if float(free[mine].mean()) < SHARE:
                 continue
             if graph.vertex(name).shape not in FOLLOWED:
-                if FREE_FORM not in self.notes:
-                    self.notes.append(FREE_FORM)
+                if FREE_FORM not in self.doubts:
+                    self.doubts.append(FREE_FORM)
                 continue
             thing = thing_of(graph, [], name)
             thing.name = new_name(thing.type, {other.name for other in self.tracker.things})
@@ -197,8 +207,11 @@ class Recorder:
             np.concatenate([row[0].view_factor for row in rows], axis=1),
             None if tracker.floor is None else first @ tracker.floor,
             first[:3, :3] @ self.gravity,
-            np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,
+            np.array([row[0].rounds for row in rows]), pixels, list(self.notes), list(self.doubts),
+            self.cut,
         )  # fmt: skip
         resting = np.array([[state == STILL for state in row] for row in states]).reshape(length, count)
+        if not tracker.moving_camera:
+            track.doubts += doubts_of_camera(track, self.floor_moved or (before is not None and before.floor_moved))
         track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors(), resting)
         return track

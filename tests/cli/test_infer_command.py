@@ -242,6 +242,20 @@ def test_a_prior_of_materials_goes_with_a_film(tmp_path):
         assert json.loads((tmp_path / "out" / "track.json").read_text())["rate_spread"] == spread
 
 
+def test_a_film_that_is_doubted_is_told_and_under_strict_no_success(tmp_path):
+    """Its camera comes nearer to the floor, and nobody said that it moves."""
+    (tmp_path / "film").mkdir()
+    for t in range(3):
+        np.save(tmp_path / "film" / f"frame_{t}.npy", np.full((24, 32), 0.9 - 0.05 * (t == 2)))
+    arguments = [tmp_path / "film", "--track", "--fps", 30, "-q", "-o", tmp_path / "out"]
+    told = infer(*arguments)
+    assert told.return_value is None and "not to be trusted" in told.stderr and "--moving-camera" in told.stderr
+    assert infer(*arguments, "--strict").return_value == 3
+    said = json.loads((tmp_path / "out" / "track.json").read_text())
+    assert not said["trusted"] and any("--moving-camera" in doubt for doubt in said["doubts"])
+    assert "Not to be trusted" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_one_image_together_with_itself_is_told(tmp_path):
     np.save(tmp_path / "only_a_floor.npy", np.full((24, 32), 0.9))
     twice = [tmp_path / "only_a_floor.npy"] * 2

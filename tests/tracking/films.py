@@ -36,7 +36,7 @@ def film(rng, types, sizes, paths, views=None):
     frames, poses = [], []
     for t, row in enumerate(paths):
         floor = view() if views is None else views[t]
-        posed = floor @ np.asarray(row)
+        posed = floor @ np.reshape(row, (-1, 4, 4))
         depth, _ = render_floor_scene(types, posed, sizes, floor, CAMERA)
         frames.append(depth + NOISE * rng.standard_normal(depth.shape))
         poses.append(posed)

@@ -45,7 +45,7 @@ def test_with_one_thing_alone_a_moving_cameras_path_along_the_floor_is_said_to_b
     paths = [[at(-0.1 + 0.2 * k, 0, 0.03) for k in range(count)]]
     frames, poses = film(np.random.default_rng(0), ["box"] * count, [[0.06] * 3] * count, paths)
     track = follow(frames, start(["box"] * count, [[0.06] * 3] * count, poses[0]), moving).track()
-    assert any("is alone" in note for note in track.notes) == said
+    assert any("is alone" in doubt for doubt in track.doubts) == said
 
 
 def test_pixels_beside_a_step_are_unsure_though_the_sensor_lost_those_between():
@@ -353,7 +353,7 @@ def test_a_free_form_thing_that_comes_in_is_said_not_to_be_followed():
         solids=lambda: solids, solid_names=["thing_1"], vertex=lambda name: SimpleNamespace(shape="thing")
     )
     track = follow(frames, start([], [], []), infer=lambda depth: SimpleNamespace(best_graph=lambda: shown)).track()
-    assert track.names == [] and track.notes == [FREE_FORM]
+    assert track.names == [] and track.doubts == [FREE_FORM]
 
 
 def test_what_comes_back_may_have_rolled_over_as_a_motion_of_it_did():
@@ -465,7 +465,7 @@ def test_a_cut_ends_the_track_and_is_said():
     other = np.full_like(frames[0], 0.4)
     recorder = follow([*frames[:4], other, *frames[5:]], start(["box", "box"], [BOX_A, BOX_B], poses[0]))
     track = recorder.track()
-    assert len(track.times) == 4 and track.cut == 4 and "frame 4" in track.notes[0]
+    assert len(track.times) == 4 and track.cut == 4 and "frame 4" in track.doubts[0]
 
 
 def test_errors_are_as_large_as_the_covariances_say():
