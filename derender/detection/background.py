@@ -21,7 +21,7 @@ from derender.detection.outline import ends_of
 from derender.detection.patches import APART, SeenSurface, local_planes
 from derender.detection.search.bodies import label_bodies
 from derender.detection.segments import segments
-from derender.scene.polygon import convex_outline, outline_planes
+from derender.scene.polygon import beyond_edges, convex_outline
 
 LONG = 0.5  # metres: what is longer and cut by the image's border is no solid on a table
 CUT = 0.35  # share of a body's width or height in pixels along which a border cuts it
@@ -349,13 +349,14 @@ def wall_behind(
     angle = np.arange(ANGLES) * 2.0 * np.pi / ANGLES
     away = np.column_stack([np.cos(angle), np.sin(angle)])  # from the camera through the wall
     for _ in range(2):  # a second time finely about the first answer
-        distance, all_distance = flat @ away.T, everything @ away.T
-        far = ends_of(all_distance, BEHIND)[1]  # where a wall would be, were it across this direction
-        on = np.abs(distance - far) < tolerance
-        best = int(np.argmax(np.where(far > 0, on.mean(axis=0), 0.0)))
+        distance, all_distance = away @ flat.T, away @ everything.T
+        last = int((1.0 - BEHIND) * (all_distance.shape[1] - 1))
+        far = np.partition(all_distance, last, axis=1)[:, last]  # where a wall would be, were it across this direction
+        on = np.abs(distance - far[:, None]) < tolerance
+        best = int(np.argmax(np.where(far > 0, on.mean(axis=1), 0.0)))
         angle = angle[best] + np.linspace(-1.0, 1.0, 21) * np.pi / ANGLES
-        across = flat[on[:, best]] @ np.array([-away[best, 1], away[best, 0]])
-        place, share, normal = far[best], on[:, best].mean(), away[best]
+        across = flat[on[best]] @ np.array([-away[best, 1], away[best, 0]])
+        place, share, normal = far[best], on[best].mean(), away[best]
         away = np.column_stack([np.cos(angle), np.sin(angle)])
     if share < WALL_SHARE or np.ptp(np.quantile(across, (0.02, 0.98))) < WIDE:
         return none
@@ -392,7 +393,6 @@ def beyond_outline(points: np.ndarray, inliers: np.ndarray, good: np.ndarray, or
     outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
     if outline is None:
         return np.full(good.shape, -np.inf)
-    planes = outline_planes(outline)
     beyond = np.full(good.shape, -np.inf)
-    beyond[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1)
+    beyond[good] = beyond_edges(points[good][:, :2], outline)
     return beyond

@@ -26,7 +26,7 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
 from derender.detection.things import BAD, BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
-from derender.scene.polygon import convex_outline, outline_planes
+from derender.scene.polygon import beyond_edges, convex_outline
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
@@ -135,9 +135,7 @@ def with_borne(seen: Observation, masks: list[np.ndarray]) -> tuple[Observation,
             corners = convex_outline(np.ascontiguousarray(points[mask][:, :2]))
             if corners is None or abs(low - ends_of(points[mask][:, 2:], ENDS)[1]) > parted:
                 continue
-            sides = outline_planes(corners)
-            beyond = (points[part][:, :2] @ sides[:, :2].T + sides[:, 2]).max(axis=1)
-            if np.mean(beyond < 0.0) > OVER:
+            if np.mean(beyond_edges(points[part][:, :2], corners) < 0.0) > OVER:
                 masks, behind = [*masks[:n], mask | part, *masks[n + 1 :]], behind & ~part
                 break
     return seen._replace(behind=behind), masks

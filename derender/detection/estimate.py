@@ -23,7 +23,7 @@ from derender.detection.solids.state import State, held_out
 from derender.detection.solids.support import final_parents
 from derender.detection.things import BAD, likely_things, take_things, without_background
 from derender.errors import DerenderError
-from derender.results.fit import sensor_deviation
+from derender.results.fit import median, sensor_deviation
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 # Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent.
@@ -122,8 +122,8 @@ def on_one_floor(
         seen = seen._replace(correlation=correlation)
     settings = settings_for(settings, seen)
     patches = patches_of(seen)
-    typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
-    noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
+    typical = median(seen.footprint[seen.mask]) if seen.mask.any() else 0.005
+    noise = median(seen.sigma[seen.mask]) if seen.mask.any() else 0.001
     settings = settings._replace(uneven=max(settings.uneven, NOISES * noise))
     surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
     hypotheses = all_hypotheses(surface, settings.shapes)

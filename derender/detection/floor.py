@@ -17,7 +17,7 @@ from derender.detection.patches import local_planes
 from derender.detection.pyramid import estimate_blur, noise_of
 from derender.errors import DerenderError
 from derender.render.blur import blur_radius
-from derender.results.fit import TO_SIGMA, scatter, sensor_deviation
+from derender.results.fit import TO_SIGMA, median, scatter, sensor_deviation
 from derender.scene.pose import upright_frame
 
 USUAL = 0.8  # metres from which household things are looked at
@@ -55,7 +55,7 @@ def scale_of(depth: np.ndarray, floor: Floor) -> float:
     off furniture is furniture; what is so far that it is not is counted in another unit, see `unit.py`.
     """
     on = depth[floor.inliers] if floor.inliers.any() else depth[np.isfinite(depth) & (depth > 0)]
-    return min(1.0, float(np.median(on)) / USUAL) if len(on) else 1.0
+    return min(1.0, median(on) / USUAL) if len(on) else 1.0
 
 
 def floor_beside(floor: Floor, depth: np.ndarray, camera: Camera, standing: np.ndarray) -> Floor:
@@ -205,7 +205,7 @@ def under_its_noise(floor: Floor, depth: np.ndarray, camera: Camera) -> Floor:
 def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
     """Return the value at which half of the weight lies below; between two such values, their mean."""
     if (weight == weight[0]).all():
-        return float(np.median(values))
+        return median(values)
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     middle = [np.searchsorted(total, 0.5 * total[-1], side) for side in ("left", "right")]
@@ -244,7 +244,7 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera) -> np.ndarray:
         surface = terms @ numbers
         fitted = surface[floor.inliers][np.abs(surface[floor.inliers] - seen) <= WITHIN * after]
         bend, before = np.clip(surface, fitted.min(), fitted.max()), after
-    most = MOST * sensor_deviation(float(np.median(depth[floor.inliers])))
+    most = MOST * sensor_deviation(median(depth[floor.inliers]))
     slope = -(camera.rays() @ normal)
     return np.clip(bend, -most, most) / np.maximum(slope, STEEPEST)
 
@@ -357,7 +357,7 @@ def noise_map(depth: np.ndarray, floor: Floor, camera: Camera) -> np.ndarray:
     points, slope = points[steep], slope[steep]
     z = points[:, 2]
     sigma, growth = noise_of((points - floor.pose[:3, 3]) @ normal / slope, z)
-    close = np.median(z)
+    close = median(z)
     deep = np.clip(np.nan_to_num(depth, nan=close), 0.3 * close, 4.0 * close)
     noise = sigma + growth * deep**2
     most = SENSOR_SIGMA + SENSOR_GROWTH * deep**2
@@ -403,7 +403,7 @@ def share_within(depth: np.ndarray, floor: Floor, camera: Camera, metres: float 
     if not floor.inliers.any():
         return 0.0
     plane = floor_depth(floor.pose, camera)
-    near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
+    near = floor.inliers & (plane <= median(plane[floor.inliers]))
     return float((np.abs(depth - plane) <= metres)[near].mean())
 
 
@@ -417,7 +417,7 @@ def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: Camera) -> fl
     normal = floor.pose[:3, 2]
     height = (camera.points(depth) - floor.pose[:3, 3]) @ normal
     distance = floor_depth(floor.pose, camera)
-    near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
+    near = floor.inliers & (distance <= median(distance[floor.inliers]))
     limit = 3 * scatter(height[near]) + 1e-6
     height = np.where(near & (np.abs(height) < limit), height, np.nan)
     a, b = height[:, :-1], height[:, 1:]

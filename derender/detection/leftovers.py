@@ -48,6 +48,7 @@ from derender.detection.things import (
     shows_below,
     standing,
 )
+from derender.results.fit import median
 from derender.scene.pose import rotation_z
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
@@ -203,7 +204,7 @@ def cut_in_two(climb: Climb, state: State, points: np.ndarray, bottom: float) ->
 
 def solids_within(seen: Observation, mask: np.ndarray, cost: Cost, settings: Settings) -> list[Solid]:
     """Return the hypotheses of solids that the pixels of a mask (H, W), or those of a piece of it, suggest."""
-    footprint, sigma = (float(np.median(each[mask])) for each in (seen.footprint, seen.sigma))
+    footprint, sigma = (median(each[mask]) for each in (seen.footprint, seen.sigma))
     patches = patches_of(seen._replace(mask=mask))
     found = all_hypotheses(make_surface(seen.points, patches, seen.image.origin, footprint, sigma), settings.shapes)
     label, count, _ = segments(seen.surface, mask, cost.normal)

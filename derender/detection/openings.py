@@ -12,7 +12,8 @@ from derender.detection.search.bodies import label_bodies
 from derender.detection.search.observation import Observation
 from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.state import State, held_out
-from derender.scene.polygon import convex_outline, outline_planes
+from derender.results.fit import median
+from derender.scene.polygon import beyond_edges, convex_outline
 
 ENDS = 0.02  # share of a piece's points over its upper edge: flying pixels
 FEWEST = 12  # pixels of a piece, and of an opening
@@ -47,7 +48,7 @@ def walls(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple[lis
         tops[k] = ends_of(height[piece == k], ENDS)[1]
     if not np.isfinite(tops).any():
         return None
-    even = np.maximum(EVEN * seen.scale, PIXELS * float(np.median(seen.footprint[piece >= 0])))
+    even = np.maximum(EVEN * seen.scale, PIXELS * median(seen.footprint[piece >= 0]))
     level = np.abs(tops[:, None] - np.where(np.isfinite(tops), tops, np.inf)) < even
     for group in components(level & touching(seen, piece, count)):
         bears = any(parent in group and k not in group for k, parent in enumerate(state.parents))
@@ -94,12 +95,11 @@ def opening(seen: Observation, mask: np.ndarray, top: float, even: float) -> np.
     corners = convex_outline(np.ascontiguousarray(edge))
     if corners is None or origin[2] <= top:
         return None
-    sides = outline_planes(corners)
     good = (seen.image.weight > 0) & (height < origin[2])
     share = (origin[2] - top) / np.maximum(origin[2] - height[good], 1e-9)  # of the way to what is seen, to the plane
     crossing = origin[:2] + share[:, None] * (seen.points[good][:, :2] - origin[:2])
     beyond = np.full(height.shape, np.inf)
-    beyond[good] = (crossing @ sides[:, :2].T + sides[:, 2]).max(axis=-1)
+    beyond[good] = beyond_edges(crossing, corners)
     within = beyond < -even
     if within.sum() < FEWEST or np.mean(height[within] < top - even) < OPEN:
         return None

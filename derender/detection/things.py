@@ -28,7 +28,7 @@ from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT, WALL
 from derender.detection.solids.state import FLOOR, State, held_out, subset
 from derender.detection.solids.support import flat_top, share_over
-from derender.results.fit import NOISES, STEP, means_about
+from derender.results.fit import NOISES, STEP, means_about, median
 from derender.scene.pose import rotation_z
 from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX
@@ -437,7 +437,7 @@ def standing(seen: Observation, state: State, mask: np.ndarray) -> tuple[int, fl
     What is hardly off that is explained by it, and no part of the mask.
     """
     clear, reach = clear_of_edges(seen, mask)
-    hidden = reach * np.median(seen.footprint[mask]) + np.sqrt(2.0 * BAD) * np.median(seen.sigma[mask])
+    hidden = reach * median(seen.footprint[mask]) + np.sqrt(2.0 * BAD) * median(seen.sigma[mask])
     return support_of(seen.points[clear], state, NEAR_TOP + float(hidden))
 
 
@@ -466,7 +466,7 @@ def made_thing(seen: Any, state: State, mask: np.ndarray, existence: Any) -> Thi
     clear, reach = clear_of_edges(seen, mask)
     points = seen.points[clear]
     parent, bottom = standing(seen, state, mask)
-    rim = reach * float(np.median(seen.footprint[mask]))  # where an edge ends some pixel shows it, at its middle
+    rim = reach * median(seen.footprint[mask])  # where an edge ends some pixel shows it, at its middle
     normal = seen.surface.normals(mask)[clear]
     axis = vertical_axis(points, normal)
     outline, yaw = np.vstack([points[:, :2], sloping_foot(points, normal, bottom, NEAR_TOP)]), None

@@ -20,7 +20,7 @@ from derender.results.fit import Fit, Noise, on_best_plane, sensor_deviation
 from derender.results.focal_length import FLOOR, faces_of, wrong_camera
 from derender.results.trust import LETTERS, MAY_EXIST, Doubt, Region
 from derender.scene.graph import SceneGraph
-from derender.scene.polygon import convex_outline, outline_planes
+from derender.scene.polygon import beyond_edges, convex_outline
 
 LOOKED_AT = 1000  # pixels, about, evenly spread
 TRIES = 150  # planes through three pixels each, of each kind: one with half of the pixels is missed never
@@ -238,9 +238,7 @@ def background_over_floor(graph: SceneGraph, fit: Fit, camera: Camera, observed:
         above = fit.background & ((points - pose[:3, 3]) @ pose[:3, 2] > fit.tolerance)
         corners = convex_outline((points[shown[0].mask] - pose[:3, 3]) @ pose[:3, :2]) if shown else None
         if corners is not None:
-            sides = outline_planes(corners)
-            beyond = (points[above] - pose[:3, 3]) @ pose[:3, :2] @ sides[:, :2].T + sides[:, 2]
-            over[above] |= beyond.max(axis=1) < -RIM
+            over[above] |= beyond_edges((points[above] - pose[:3, 3]) @ pose[:3, :2], corners) < -RIM
     regions = tuple(region for region in coherent(over, valid) if region.share > MOST_OVER)
     words = ", ".join(f"{percent(region.share)} of the image {region.where}" for region in regions)
     told = any(vertex.body.size() is not None for vertex in graph.vertices)

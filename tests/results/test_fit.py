@@ -7,7 +7,7 @@ from on_floor import cube, on_floor
 
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.results.fit import MOST_TOLERANCE, fit_of, flat_noise
+from derender.results.fit import MOST_TOLERANCE, fit_of, flat_noise, median
 from derender.scene.graph import Vertex
 
 CAMERA = Camera.from_field_of_view(96, 72)
@@ -122,3 +122,9 @@ def test_what_lies_flat_on_a_floor_seen_at_a_slant_is_that_floor():
         part = (bare > 0.9) & (bare < 1.5)
         seen = np.where(part, bare - over / height, np.nan)
         assert fit_of(low, CAMERA, seen, {}).explained[part].mean() == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 501])
+def test_the_median_is_numpys(count):
+    values = np.random.default_rng(count).normal(size=count).round(1)
+    assert median(values) == np.median(values)

@@ -47,7 +47,7 @@ from derender.detection.search.bodies import label_bodies
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.detection.solids.misfit import AS_SEEN
-from derender.results.fit import sensor_deviation
+from derender.results.fit import median, sensor_deviation
 from derender.scene.priors.bare_image import Floors
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
@@ -130,7 +130,7 @@ class Observation(NamedTuple):
     def scale(self) -> float:
         """How large things are that are looked at from here, against those that are seen from USUAL; at most 1."""
         good = self.image.weight > 0
-        return min(1.0, float(np.median(self.image.depth[good])) / USUAL) if good.any() else 1.0
+        return min(1.0, median(self.image.depth[good]) / USUAL) if good.any() else 1.0
 
     @property
     def other_floors(self) -> tuple[Rival, ...]:
@@ -312,7 +312,7 @@ def on_its_floor(depth: np.ndarray, camera: Camera, factor: int, floor: Floor,
         floor = plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma)
     if seen.mask.any():
         floor = floor_beside(floor, depth, camera, seen.mask)
-    if floor.sigma > ROUGHEST * sensor_deviation(float(np.median(depth[floor.inliers]))):
+    if floor.sigma > ROUGHEST * sensor_deviation(median(depth[floor.inliers])):
         raise NoFloor("no plane is one that things could stand on")
     straight = tell_apart(depth, camera, factor, floor, None, floating, others, shared=shared)
     # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
@@ -389,7 +389,7 @@ def tell_apart(depth: np.ndarray, camera: Camera, factor: int, floor: Floor, bac
     grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
     image.floor[grazing] = image.depth[grazing]
     if correlation > CORRELATED:  # the sensor bends the plane: a solid that smooths that out is none
-        away = good & ~mask & ~greatest(mask, int(AWAY * scale / np.median(footprint[good])) + 1)
+        away = good & ~mask & ~greatest(mask, int(AWAY * scale / median(footprint[good])) + 1)
         image.floor[away] = image.depth[away]
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,

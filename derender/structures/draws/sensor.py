@@ -19,6 +19,7 @@ from derender.render.likelihoods.correlated import independent_share, innovation
 from derender.render.likelihoods.pixelwise import flying_density, near_edges, noise_at, surface_density
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
+from derender.results.fit import median
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import Chart, placed
 
@@ -276,7 +277,7 @@ class Noise:
 
     @cached_property
     def edge_step(self) -> float:  # metres
-        return float(np.clip(EDGE * np.median(self.clean), 1e-4, 100.0))
+        return float(np.clip(EDGE * median(self.clean.ravel()), 1e-4, 100.0))
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
