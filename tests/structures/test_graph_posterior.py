@@ -636,10 +636,10 @@ def test_many_draws_end_with_the_budget(monkeypatch):
 
 
 def test_within_a_budget_chains_go_on_until_what_is_told_is_to_be_trusted():
-    """Not until the coordinates agree, which are other numbers: here they did at once, and a theta's R-hat was 1.1."""
+    """At the first look two numbers are not. (Other seeds take up to a hundred times as long as this one.)"""
     sensor, chart, values = observe(np.random.default_rng(6), stack(), {"sigma": 0.003}, camera(40, 30))
     refined = Refined(stack(), chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(3)
     chains = chains_of(rng, refined, 2, 20, time.monotonic() + 600)
     part = structure_posterior(rng, refined, names_of(stack()), 1.0, chains)
     rows = parameter_rows(part.addresses, part.values, dict(zip(part.addresses, part.periods, strict=True)))

@@ -100,7 +100,7 @@ def test_what_no_solid_beside_a_known_one_explains_is_told(tmp_path, strange):
         row, column = np.mgrid[:120, :160]
         depth -= 0.07 * np.exp(-0.5 * ((row - 70) ** 2 + (column - 115) ** 2) / 6.0**2)
     depth = depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape)
-    options = Options(known=library(tmp_path), draws=20, chains=1)
+    options = Options(known=library(tmp_path), draws=20, chains=1, quick=True)
     posterior = infer_structure(depth, camera, options, np.random.default_rng(0))
     assert "brick" in posterior.best_graph().names and bool(posterior.meta["spots"]) == strange
 
@@ -214,5 +214,5 @@ def test_what_stands_on_a_cube_stands_where_it_was_placed(tmp_path):
     whole = infer_structure(image.depth, image.camera, options, np.random.default_rng(1))
     rows = parameter_rows(whole.best_part.addresses, whole.best_part.values)
     assert not any(map(misleads, rows))  # of 200 draws of each chain, which were all there were, R-hat was 1.15 to 1.2
-    few = infer_structure(image.depth, image.camera, replace(options, draws=50), np.random.default_rng(1))
+    few = infer_structure(image.depth, image.camera, replace(options, draws=50, quick=True), np.random.default_rng(1))
     assert few.best_part.values.shape[1] == 50  # as many as were asked for
