@@ -15,7 +15,7 @@ from derender.scene.pose import rotation_x, translation
 from derender.structures.infer import infer_structure
 from derender.structures.jumps.base import State, Target, Vocabulary
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
-from derender.structures.jumps.run import Draws, posterior_of
+from derender.structures.jumps.run import Draws, posterior_of, share_error
 from derender.structures.options import Options
 from worlds.made_scenes import render_floor_scene
 
@@ -126,6 +126,20 @@ def test_objects_are_called_after_what_they_are_in_the_likeliest_structure():
         (("floor", "cube_1"), pytest.approx(2 / 3)), (("floor", "cube_1"), pytest.approx(1 / 3)),
     ]  # fmt: skip
     assert posterior.parts[0].addresses[0].startswith("cube_1.")
+    # One chain was there twice of three times, and its draws are too few to tell what they are worth.
+    assert all(part.weight_interval[1] - part.weight_interval[0] > 0.5 for part in posterior.parts)
+
+
+def test_the_share_of_a_structure_has_its_error_and_is_no_more_than_one():
+    """Two chains that never left the first structure said that it is there with 1.0000000000000013 +- 0."""
+    prior = document_of(TINY).prior
+    words, rng = Vocabulary(prior), generator(3, 79)
+    graph = next(g for g in (prior.sample(rng) for _ in range(1000)) if len(g.vertices) == 2)
+    (stuck,) = posterior_of(words, [Draws([State(graph, 0.0, 0.0)] * 30, {})] * 2).parts
+    assert stuck.weight == 1.0 and 0.1 < stuck.weight_error < 0.3 and stuck.weight_interval[0] < 0.8
+    apart = [["a"] * 300, ["b"] * 300]
+    mixed = [rng.choice(["a", "b"], 300).tolist() for _ in range(2)]
+    assert share_error(apart, "a", 0.5)[0] > 0.2 > 0.04 > share_error(mixed, "a", 0.5)[0] > 0.01
 
 
 def test_a_camera_may_be_a_mapping():

@@ -400,12 +400,35 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
             visited[-1].append(graph.structure())
             chains = groups.setdefault(graph.structure(), [[] for _ in found])
             chains[number].append(Visit(graph, state, 1.0 / (len(draws.states) * len(found))))
-    parts = [_part(words, chains) for chains in groups.values()]
+    parts = []
+    for structure, chains in groups.items():
+        part = _part(words, chains)
+        error, interval = share_error(visited, structure, part.weight)
+        parts.append(replace(part, weight_error=error, weight_interval=interval))
     extras = {name: np.mean([draws.acceptance.get(name, 0.0) for draws in found]) for name in found[0].acceptance}
     meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()},
                             "structure_chains": agreement(visited)}  # fmt: skip
     parts.sort(key=lambda part: -part.weight)
     return Posterior(tuple(parts), meta=meta)
+
+
+def share_error(
+    visited: Sequence[Sequence[tuple]], structure: tuple, share: float
+) -> tuple[float, tuple[float, float]]:
+    """Return the standard error, and the ends of the 90 % range, of the share of the draws that are of a structure.
+
+    By Jeffreys' estimate of as many independent draws as its being visited is worth. Chains that never leave it, or
+    that nothing tells the worth of, are worth one each: that they stayed may be theirs.
+    """
+    from scipy.stats import beta
+
+    shortest = min(map(len, visited))
+    there = np.array([[other == structure for other in chain[:shortest]] for chain in visited], float)
+    worth = math.nan if there.min() == there.max() else diagnostics.mean_ess(there)
+    worth = max(worth, len(visited)) if math.isfinite(worth) else len(visited)
+    hits = share * worth + 0.5, (1.0 - share) * worth + 0.5
+    low, high = beta.ppf([0.05, 0.95], *hits)
+    return float(beta.std(*hits)), (float(min(low, share)), float(max(high, share)))
 
 
 def agreement(visited: Sequence[Sequence[tuple]]) -> dict[str, Any]:
@@ -431,7 +454,7 @@ def in_step(chains: list[list[Visit]]) -> list[list[Visit]]:
 
 
 def _part(words: Vocabulary, chains: list[list[Visit]]) -> StructurePosterior:
-    weight = float(sum(visit.weight for chain in chains for visit in chain))
+    weight = math.fsum(visit.weight for chain in chains for visit in chain)
     chains = in_step(chains)
     densities = np.array([[visit.state[1:] for visit in chain] for chain in chains])
     graph = chains[0][0].graph
