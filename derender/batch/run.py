@@ -194,7 +194,7 @@ class Processes:
         self._idle: list[ProcessPoolExecutor] = []
         self._busy: dict[Future, tuple[ProcessPoolExecutor, Frame]] = {}
         self._context = get_context("spawn")
-        with held(ENDING):
+        with each_one_of_many(), held(ENDING):
             resource_tracker.ensure_running()
 
     @property

@@ -13,14 +13,17 @@ from collections.abc import Mapping
 from itertools import product
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
+from derender.compilation.threads import each_one_of_many
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter, bounce_damping, clamped_masses, leans, pair_frictions
 from derender.physics.statics import ROLLING, plane_is_below, widest_gap
 from derender.scene.friction import OF_BODIES
 from derender.scene.pose import quaternion, rotation_x
+
+with each_one_of_many():  # the GLFW in it starts a process
+    import mujoco
 
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
 # at this one (200 of 200); half of it changes no verdict.

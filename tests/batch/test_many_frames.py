@@ -7,12 +7,14 @@ import subprocess
 import sys
 import time
 from multiprocessing import active_children
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import derender
 from derender.batch.frames import Done, Frame, Order, failure, infer_frame, is_done
 from derender.batch.run import Processes, infer_frames
 from derender.cli import group
@@ -339,6 +341,25 @@ def test_a_process_has_one_thread_from_its_start_unless_the_user_says_how_many(t
     wanted = {**dict.fromkeys((*LIBRARIES, THREADS_VARIABLE, "PYTHONSAFEPATH"), "1"), "OMP_NUM_THREADS": "3"}
     assert {name: told.get(name) for name in wanted} == wanted
     assert dict(os.environ) == before
+
+
+STARTED = (
+    "from multiprocessing import resource_tracker; from derender.batch.run import Processes; "
+    "crew = Processes(1, None, 'out'); crew.close(); resource_tracker._resource_tracker._stop()"
+)
+
+
+@pytest.mark.parametrize("code", [STARTED, "import derender.physics.mujoco_model"])
+def test_what_libraries_start_does_not_run_what_lies_in_the_current_folder(tmp_path, code):
+    """A file types.py beside the scene ended `simulate` with a traceback: MuJoCo's GLFW had started a Python."""
+    here, script = tmp_path / "here", tmp_path / "script.py"  # whose folder Python looks into, as into `derender`'s
+    here.mkdir()
+    (here / "types.py").write_text("open('it-was-run', 'w')\n")
+    script.write_text(code)
+    environment = {**os.environ, "PYTHONPATH": str(Path(derender.__file__).parents[1])}
+    environment.pop("PYTHONSAFEPATH", None)
+    subprocess.run([sys.executable, script], cwd=here, env=environment, check=True, timeout=60)
+    assert not (here / "it-was-run").exists()
 
 
 class Dies:
