@@ -364,7 +364,7 @@ def told_of_missed(found: Mapping[str, Any]) -> str:
     share = found.get("missed")
     if not isinstance(share, int | float) or share < LEAST_TOLD:
         return ""
-    return f"half of the {share:.2f} that something was missed counts as stable".replace("0.", ".")
+    return f"half of the {share:.2f} that it is none of the structures found counts as stable".replace("0.", ".")
 
 
 def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:

@@ -182,7 +182,7 @@ class Posterior:
 
     @property
     def missed(self) -> float:
-        """How probable it is that a search has found none of the structures that are there."""
+        """How probable it is that none of these structures is there: what is was missed, or not worth telling."""
         return max(1.0 - sum(part.weight for part in self.parts), 0.0)
 
     def check_name(self, name: str) -> None:
