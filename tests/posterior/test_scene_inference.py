@@ -71,6 +71,18 @@ def test_posterior_of_two_numbers_by_quadrature(method):
             assert abs(drawn.mean() - expected) < bound(len(tests)) * diagnostics.mean_mcse(drawn), name
 
 
+@pytest.mark.parametrize("kernel", ["drift", "drift-all"])
+def test_an_angle_of_which_the_image_says_nothing_is_as_before(kernel):
+    """No step about its circle is refused, so that steps grew until all of them were rounded to 0: draws of a uniform
+    angle were 0 and 90 degrees alone, with an R-hat of one."""
+    text = TWO_NUMBERS.replace("{normal: [0, 0.05]}", "0.0").replace("sigma: 0.4", "sigma: 10")
+    world, _, image = image_of(text)
+    settings = Settings(kernels=[{kernel: None}], draws=300, warmup=400, chains=2)
+    result = infer_scene(world.document, image, world.document.camera, settings, Options("mcmc", seed=5))
+    counts = np.histogram(result.posterior.parts[0].values, 6, (0.0, np.pi))[0]
+    assert np.abs(counts - 100).max() < 45  # each has a standard deviation of 9.1, were the draws independent
+
+
 @pytest.mark.slow
 def test_a_wrong_posterior_is_seen():
     """The quadrature test's twin: chains on another image disagree with this one's grid by many standard errors."""

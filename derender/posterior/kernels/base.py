@@ -161,6 +161,9 @@ def _check(value: object, what: str, where: object, lower: float = -math.inf) ->
         raise DerenderError(f"{what} is {value!r}", where, "give a number" + (" from 0 up" if lower == 0 else ""))
 
 
+# Scale of a kernel's steps, in the spread that it has learned. Where nothing refuses one, as about a circle of which an
+# image says nothing, it would grow until rounding takes each step to one point; so long a one already ends anywhere.
+MOST_SCALE = 100.0
 PRIOR_SHARE = 1e-4  # of the prior's variance, with the weight of five draws: keeps a covariance of few draws regular
 
 
@@ -196,7 +199,7 @@ def steps_of(parts: Sequence[Part], tuning: Tuning) -> Steps:
         cumulative=np.cumsum([part.weight for part in parts]),
         scale=np.ones(len(parts)) if tuning.scale is None else tuning.scale.copy(),
         wanted=np.array([kind.acceptance if kind.adapts else 0.0 for kind in kinds]),
-        most=np.full(len(parts), np.inf),
+        most=np.full(len(parts), MOST_SCALE),
     )
 
 
