@@ -10,10 +10,11 @@ from derender.camera.windows import greatest, least
 from derender.render.blur import blur_taps
 from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
+from derender.scene.pose import inverse
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
 from derender.tracking.reaching import OUTLINE, PRICE, PRICE_STILL, bare_noise, nearer, never_seen, reaching
-from derender.tracking.thing import Start
+from derender.tracking.thing import STILL, Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
 LIMIT = 8.0  # nats: a pixel off by more than four standard deviations tells no more
@@ -28,6 +29,7 @@ EXCESS = (4.0, 0.03)  # standard deviations, and share, by which the cost may be
 USUAL_OFF = 0.003  # share of the pixels that are off in a good fit, at least
 DEVIATION = 0.7  # nats: of one pixel's cost
 OFF = 4.0  # standard deviations at which a pixel is off
+MORE_THAN_BEFORE = 2.0  # times at once that the usual cost rises where no beginning led to a better one
 LITTLE = 0.03  # metres: what a hand lifts at up to a metre a second comes no nearer than this in a frame
 BESIDE, MOST_BESIDE = 6, 0.12  # pixels about a thing, and the share of its own that may be nearer there
 
@@ -41,14 +43,14 @@ class Drawing:
     spread : (H, W) metres. returned : (H, W) bool, where the first frame has a depth; beyond : where it has none from
     the border on. left_out : (H, W) metres, what it shows before what is drawn, inf elsewhere. hand : (H, W) bool, what
     reaches in from the border. backdrop : (H, W) depth of what lies behind and is no floor.
-    rounds : sets of normal equations so far.
+    rounds : sets of normal equations so far. usually_off : share of the pixels of the floor and of what rests.
     """
 
     def __init__(self, camera: Camera, start: Start, depth: np.ndarray, moving_camera: bool) -> None:
         self.camera, self.start, self.moving_camera = camera, start, moving_camera
         self.things, self.floor, self.view = list(start.things), start.floor, np.eye(4)
         self.backdrop: np.ndarray | None = None
-        self.rounds = 0
+        self.rounds, self.usually_off = 0, np.inf
         self.returned = np.isfinite(depth) & (depth > 0) & (not moving_camera)
         self.beyond = never_seen(depth) & (not moving_camera)
         self.allocate(depth)
@@ -181,6 +183,53 @@ class Drawing:
         )  # fmt: skip
         self.rounds += taken
         return energy, curvature
+
+    def fit_view(self, resting: list[int], precision: np.ndarray) -> np.ndarray:
+        """Fit the view to the floor and to things that rest, from where it is drawn, and draw all from there.
+
+        precision : (6, 6), before the image, of a shift and a turn that follow the view. Returns that after it.
+        """
+        members = np.arange(len(self.kinds)) < self.planes
+        members[self.planes + np.array(resting, int)] = True
+        middle = np.eye(4)
+        middle[:3, 3] = np.mean([self.things[k].pose[:3, 3] for k in resting], axis=0) if resting else [0.0, 0.0, 1.0]
+        frame = self.view @ middle
+        about = np.eye(6)  # a shift of the middle and a turn about it, as those of the camera's own place
+        about[:3, 3:] = np.cross(np.eye(3), frame[:3, 3])
+        information = about.T @ precision @ about
+        curvature, begun = information.copy(), frame.copy()
+
+        def fit() -> None:
+            self.rounds += fitting.fit(
+                self.misfit, self.poses, self.sizes, members, frame, begun, 0, np.zeros(3), np.zeros((0, 3)),
+                information, self.start.temper, ROUNDS, TOLERANCE, curvature,
+            )[1]  # fmt: skip
+
+        fit()
+        if self._off_more(members):  # outlines may be off by several pixels
+            frame[:] = begun
+            self.place()
+            for loose in (True, False):
+                self.loosen(loose)
+                fit()
+        self.view = frame @ inverse(middle)
+        self.place()
+        back = np.linalg.inv(about)
+        return back.T @ curvature @ back
+
+    def _take_off_as_usual(self) -> None:
+        """Take the share of the pixels of the floor and of what rests that are off as the usual one, or near it."""
+        rests = [True] * self.planes + [thing.state == STILL for thing in self.things]
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        share = float(self.counts[rests, 2:].sum() / max(self.counts[rests, 1].sum(), 1.0))
+        self.usually_off = min(share, MORE_THAN_BEFORE * max(self.usually_off, USUAL_OFF))
+
+    def _off_more(self, members: np.ndarray) -> bool:
+        """Return whether more of the pixels of some solids (N,) are off than when the camera was found last."""
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        shown, off = self.counts[members, 1].sum(), self.counts[members, 2:].sum()
+        usually = self.usually_off * shown
+        return bool(off > usually + EXCESS[0] * np.sqrt(usually + 1.0))
 
     def turned(self, matrix: np.ndarray, back: bool = False) -> np.ndarray:
         """Return a (P, P) precision of world axes in camera axes, or the other way round."""

@@ -60,9 +60,9 @@ def never_seen(depth: np.ndarray) -> np.ndarray:
     return void & (at_border(marks, len(sizes)) >= AT_BORDER)[marks] & (marks > 0)
 
 
-def reaching(drawing: "Drawing") -> np.ndarray:
+def reaching(drawing: "Drawing", outline: int = OUTLINE) -> np.ndarray:
     """Return (H, W) bool: what is nearer than all that is drawn, and than what the first frame shows before that, and
-    hangs together with the image's border, and OUTLINE about it.
+    hangs together with the image's border, and so many pixels about it.
 
     Where nothing returns now, and something did in the first frame, it may be nearer than the sensor sees; where
     nothing did from the border on, as the floor is too far there, it comes from beyond that.
@@ -74,4 +74,4 @@ def reaching(drawing: "Drawing") -> np.ndarray:
     marks, sizes = patches(near, dark)
     large = (sizes >= SMALLEST) & (at_border(marks, len(sizes)) >= AT_BORDER)
     large[0] = False
-    return greatest(near & large[marks], OUTLINE)
+    return greatest(near & large[marks], outline) if outline else near & large[marks]

@@ -16,7 +16,8 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import from_rotation_vector, inverse, moved, rotation_vector
 from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
-from derender.tracking.drawing import EXCESS, FEW, OFF, ROUNDS, TOLERANCE, USUAL_OFF, Drawing
+from derender.tracking.carrying import Hands
+from derender.tracking.drawing import FEW, MORE_THAN_BEFORE, OFF, TOLERANCE, Drawing
 from derender.tracking.hidden import Blob, blobs_of, last_seen, one_frame_later, shifts_to
 from derender.tracking.path import BAND, CAMERA_CHANGES, CAMERA_SPEED, change_between
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
@@ -29,9 +30,11 @@ QUIET_DEVIATIONS = 3.0  # of its pose, within which it may besides jitter from f
 QUIET_FRAMES = 3  # on end: then it rests
 ROOM = (0.012, 0.12)  # metres and radians by which a moving thing may be off its prediction, and ...
 ROOM_SHARE = 0.6  # ... of its last motion besides
+# Metres and radians by which what a hand holds may be off where the hand's motion brings it: so well that motion is
+# known, and a hand turns by as much from frame to frame.
+HELD = (0.004, 0.04)
 BIAS = 0.1  # pixels by which outlines may be off in one direction, frame after frame: sensors lose pixels there
 WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
-MORE_THAN_BEFORE = 2.0  # times at once that the usual cost rises where no beginning led to a better one
 GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
 SEARCHED = 3  # starts of a search from which a fit begins, those of least cost
 GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
@@ -79,8 +82,8 @@ class Tracker(Drawing):
         super().__init__(camera, start, depth, moving_camera)
         self.gravity, self.step = np.asarray(gravity, float), float(step)
         self.drift = np.eye(4)  # the camera's last motion, and its covariance: (6, 6) of a shift and a turn, its axes
+        self.hands = Hands(self)
         self.woken: list[int] = []  # resting things that have begun to move, where the camera moves
-        self.usually_off = np.inf  # share of the pixels of the floor and of what rests
         self.price_of_motion = 0.0  # of the camera then, in nats, see Viewpoint
         self.drift_spread = np.diag(np.repeat(CAMERA_SPEED, 3) * step) ** 2
         self._refine_first()
@@ -152,11 +155,14 @@ class Tracker(Drawing):
         """Return poses (4, 4) of thing k in the world by the cost of the image, the least first."""
         return sorted(poses, key=lambda pose: self.draw(k, pose))
 
-    def _information(self, thing: Thing) -> np.ndarray:
-        """Return the precision (P, P) of a moving thing's pose before the image, and of its size."""
+    def _information(self, thing: Thing, held: bool = False) -> np.ndarray:
+        """Return the precision (P, P) of a moving thing's pose before the image, and of its size.
+
+        held : whether a hand's motion tells where it is.
+        """
         information = np.zeros(thing.covariance.shape)
-        room = ROOM[0] + ROOM_SHARE * np.linalg.norm(thing.velocity) * self.step
-        turn = ROOM[1] + ROOM_SHARE * np.linalg.norm(thing.spin) * self.step
+        moves = ROOM_SHARE * self.step * np.array([np.linalg.norm(thing.velocity), np.linalg.norm(thing.spin)])
+        room, turn = HELD if held else ROOM + moves
         information[:6, :6] = np.diag([room**-2] * 3 + [turn**-2] * 3)
         information[6:, 6:] = np.linalg.inv(thing.covariance[6:, 6:])
         return information
@@ -165,19 +171,11 @@ class Tracker(Drawing):
         """Find a moving thing in the present frame."""
         thing = self.things[k]
         before = thing.pose.copy()
-        information = self._information(thing)
         if thing.hidden is not None:
             thing.hidden = one_frame_later(thing.hidden, self, k)
-        expected = self._expected(thing)
-        self.draw(k, expected)
-        if thing.state == MOVING and (self.touched(k) or self.unexplained(k)):
-            expected = self._ranked(k, self._predictions(thing))[0]
-            self.draw(k, expected)
-        _, curvature = self.fit(k, expected, information, free=True)
-        if self.unexplained(k) or self.left_behind(k):
-            curvature = self._search(k, expected, information, curvature)
-            if self.unexplained(k):
-                self.take_as_usual(k, MORE_THAN_BEFORE)
+        curvature = self._follow_hand(k)
+        if curvature is None:
+            curvature = self._follow_itself(k)
         is_wrong = self.wrong_share(k) > thing.usual_misfit + 2 * WRONG
         shown = self.counts[self.planes + k, 1]
         thing.waiting = thing.waiting + 1 if is_wrong and shown >= FEW else 0
@@ -201,6 +199,31 @@ class Tracker(Drawing):
             thing.hidden = None
         self._take(k, curvature)
         self._moved(thing, before)
+
+    def _follow_hand(self, k: int) -> np.ndarray | None:
+        """Fit a moving thing to where a hand has brought it; return the curvature, or None where it is not there."""
+        thing = self.things[k]
+        there = self.hands.carried(k) if thing.state == MOVING else None
+        if there is None:
+            return None
+        self.draw(k, there)
+        _, curvature = self.fit(k, there, self._information(thing, held=True), free=True)
+        return None if self.unexplained(k) else curvature
+
+    def _follow_itself(self, k: int) -> np.ndarray:
+        """Fit a moving thing to where its own motion leads it, or to where else it may be; return the curvature."""
+        thing = self.things[k]
+        expected, information = self._expected(thing), self._information(thing)
+        self.draw(k, expected)
+        if thing.state == MOVING and (self.touched(k) or self.unexplained(k)):
+            expected = self._ranked(k, self._predictions(thing))[0]
+            self.draw(k, expected)
+        _, curvature = self.fit(k, expected, information, free=True)
+        if self.unexplained(k) or self.left_behind(k):
+            curvature = self._search(k, expected, information, curvature)
+            if self.unexplained(k):
+                self.take_as_usual(k, MORE_THAN_BEFORE)
+        return curvature
 
     def _moved(self, thing: Thing, before: np.ndarray) -> None:
         """Take the thing's motion since the last frame as its velocity; let it rest when it is quiet."""
@@ -275,19 +298,23 @@ class Tracker(Drawing):
 
     def _wake(self, k: int) -> None:
         """Test whether a resting thing moves; if so, follow it."""
-        taken = self.raised(k) > RAISED
-        if self._gain(k) < WAKE and not self.unexplained(k) and not taken:
+        taken, led = self.raised(k) > RAISED, self.hands.led(k, WAKES)
+        if self._gain(k) < WAKE and not self.unexplained(k) and not taken and led is None:
             return
         thing, index = self.things[k], self.planes + k
         fitting.pixels_of(self.misfit, self.counts, OFF)
         if self.counts[index, 1] < FEW and not taken:
             return
         before, kept, rested = thing.pose.copy(), self.poses[index].copy(), self.price(k)
-        curvature = self._tried(k, thing.pose, thing.pose, self._information(thing))[1][2]
-        if self.unexplained(k):
-            curvature = self._search(k, thing.pose, self._information(thing), curvature)
+        if led is not None:
+            self.draw(k, led)
+            _, curvature = self.fit(k, led, self._information(thing, held=True), free=False)
+        else:
+            curvature = self._tried(k, thing.pose, thing.pose, self._information(thing))[1][2]
             if self.unexplained(k):
-                self.take_as_usual(k, MORE_THAN_BEFORE)
+                curvature = self._search(k, thing.pose, self._information(thing), curvature)
+        if self.unexplained(k):
+            self.take_as_usual(k, MORE_THAN_BEFORE)
         now = inverse(self.view) @ self.poses[index]
         shift, turn = np.linalg.norm(now[:3, 3] - before[:3, 3]), np.linalg.norm(rotation_between(before, now))
         stays = (shift < WOKEN[0] and turn < WOKEN[1]) or self.price(k) > rested or (taken and self.shown(k) < RAISED)
@@ -329,53 +356,6 @@ class Tracker(Drawing):
         view, self.view = self.view, kept
         return Viewpoint(view, np.linalg.inv(curvature), image + price, woken, price)
 
-    def fit_view(self, resting: list[int], precision: np.ndarray) -> np.ndarray:
-        """Fit the view to the floor and to things that rest, from where it is drawn, and draw all from there.
-
-        precision : (6, 6), before the image, of a shift and a turn that follow the view. Returns that after it.
-        """
-        members = np.arange(len(self.kinds)) < self.planes
-        members[self.planes + np.array(resting, int)] = True
-        middle = np.eye(4)
-        middle[:3, 3] = np.mean([self.things[k].pose[:3, 3] for k in resting], axis=0) if resting else [0.0, 0.0, 1.0]
-        frame = self.view @ middle
-        about = np.eye(6)  # a shift of the middle and a turn about it, as those of the camera's own place
-        about[:3, 3:] = np.cross(np.eye(3), frame[:3, 3])
-        information = about.T @ precision @ about
-        curvature, begun = information.copy(), frame.copy()
-
-        def fit() -> None:
-            self.rounds += fitting.fit(
-                self.misfit, self.poses, self.sizes, members, frame, begun, 0, np.zeros(3), np.zeros((0, 3)),
-                information, self.start.temper, ROUNDS, TOLERANCE, curvature,
-            )[1]  # fmt: skip
-
-        fit()
-        if self._off_more(members):  # outlines may be off by several pixels
-            frame[:] = begun
-            self.place()
-            for loose in (True, False):
-                self.loosen(loose)
-                fit()
-        self.view = frame @ inverse(middle)
-        self.place()
-        back = np.linalg.inv(about)
-        return back.T @ curvature @ back
-
-    def _take_off_as_usual(self) -> None:
-        """Take the share of the pixels of the floor and of what rests that are off as the usual one, or near it."""
-        rests = [True] * self.planes + [thing.state == STILL for thing in self.things]
-        fitting.pixels_of(self.misfit, self.counts, OFF)
-        share = float(self.counts[rests, 2:].sum() / max(self.counts[rests, 1].sum(), 1.0))
-        self.usually_off = min(share, MORE_THAN_BEFORE * max(self.usually_off, USUAL_OFF))
-
-    def _off_more(self, members: np.ndarray) -> bool:
-        """Return whether more of the pixels of some solids (N,) are off than when the camera was found last."""
-        fitting.pixels_of(self.misfit, self.counts, OFF)
-        shown, off = self.counts[members, 1].sum(), self.counts[members, 2:].sum()
-        usually = self.usually_off * shown
-        return bool(off > usually + EXCESS[0] * np.sqrt(usually + 1.0))
-
     def _freed(self) -> tuple[float, float, list[int]]:
         """Fit what moves, then what rests where the image says that it does so no more; return the nats of the image,
         those of these motions, and which things have woken."""
@@ -406,7 +386,9 @@ class Tracker(Drawing):
     def advance(self, depth: np.ndarray) -> Seen:
         """Follow everything into the next frame (H, W), metres, 0 or NaN where nothing returned."""
         self.rounds, self.hand_before = 0, self.hand_inside()
+        self.hands.keep()
         self.see(depth)
+        self.hand_before = self.hand_before | self.hands.shifted()
         if self.moving_camera:
             self._find_camera()
         self._follow_all()
