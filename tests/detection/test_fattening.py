@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import minimum_filter
 
-from derender.detection.fattening import LEAST, TOLD, fattened, flat_pixels, thinned
+from derender.detection.fattening import LEAST, SHADED, TOLD, fattened, flat_pixels, shaded, thinned
 from derender.scene.pose import translation
 from derender.structures.case import case_of
 from derender.structures.options import Frame, Options
@@ -17,12 +17,14 @@ def scene(kind, number=3):
     return make(np.random.default_rng([number, list(KINDS).index(kind)]), kind)
 
 
-def fat(depth, pixels=1):
-    """Return a depth image in which what is near takes the pixels beside it, where they are farther by a jump."""
+def fat(depth, pixels=1, shadow=2):
+    """Return a depth image in which what is near takes the pixels beside it, where they are farther by a jump, and on
+    its left some have no return."""
     for _ in range(pixels):
         near = minimum_filter(np.where(np.isnan(depth), np.inf, depth), 3)
         depth = np.where(depth - near > 0.05 * near, near, depth)
-    return depth
+    beside = [np.roll(depth, -step, axis=1) < 0.95 * depth for step in range(1, shadow + 1)]
+    return np.where(np.any(beside, axis=0), np.nan, depth) if shadow else depth
 
 
 def test_fattened_silhouettes_are_thinned():
@@ -57,6 +59,15 @@ def test_noise_is_no_flat_pixel():
         found, error = flat_pixels(scene("cartons", number).depth)
         assert error > TOLD or abs(found) < LEAST, number
         assert not fattened(scene("cartons", number).depth)
+
+
+def test_a_rim_is_no_fattened_silhouette():
+    """Mugs and bowls show their rims, which are flat over a pixel: of 40 scenes six lost a pixel all around."""
+    for number in (31010, 31019, 31032):
+        depth = scene("free", number).depth
+        assert LEAST < flat_pixels(depth)[0] and shaded(depth) < 0.05 and not fattened(depth)
+    assert shaded(scene("stereo").depth) > 2.0 * SHADED
+    assert shaded(fat(scene("edge").depth, shadow=0)) < 0.05  # of nothing else it is told
 
 
 def test_what_grows_flat_over_several_pixels_is_smoothed_and_stays():
