@@ -13,7 +13,7 @@ import numpy as np
 from derender.detection.background import sides_show
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.openings import walls
-from derender.detection.outline import ends_of, vertical_axis
+from derender.detection.outline import ends_of
 from derender.detection.patches import SeenSurface
 from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.detection.search.moves import alignment, extents_along
@@ -25,7 +25,7 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
-from derender.detection.things import BAD, BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
+from derender.detection.things import BAD, BENEATH, ENDS, FEWEST, LEAST_HEIGHT, support_of
 from derender.scene.polygon import beyond_edges, convex_outline
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -42,7 +42,6 @@ PART = 0.05  # of a solid's pixels, in how many a part of it shows at least: sen
 # Share of a solid's pixels that show its inside, from which on it is hollow. (Of 213 solids on real frames twelve had
 # .13 and more, all but one of cups, mugs and rolls; the others .11 at most.)
 HOLLOW = 0.12
-SAME_WIDTH = 1.1  # of a cylinder's radius: what stands on it and is wider is no part of it
 HANGS = 0.15  # of its height, how far over what it could stand on the lowest point of a part is seen
 # Twice the sine of half the angle by which a surface turns at a convex edge at least: less is the noise of normals,
 # or a silhouette that a smoothed image lets go over into the flat behind it.
@@ -90,11 +89,9 @@ def compounds(seen: Observation, state: State, masks: list[np.ndarray]) -> tuple
         return state, masks
     normal = surface.normals(surface.good)
     for k in range(len(masks)):
-        if (
-            (part := hangs_on(seen, state, masks[k])) is not None
-            or (part := below_cap(seen, state, masks[k])) is not None
-            or (part := slope_of(seen, state, masks[k], normal)) is not None
-        ):
+        if (part := hangs_on(seen, state, masks[k])) is not None or (
+            part := slope_of(seen, state, masks[k], normal)
+        ) is not None:
             state, found = joined(seen, state, (part,), masks[k])
             masks[k] = found[0]
     while (pair := part_of_another(seen, state, masks, normal)) is not None:
@@ -360,20 +357,6 @@ def reaches_under(image: Image, state: State, j: int, i: int) -> bool:
     longer[13:15] = high - low
     before, after = (held_out(image, each, -1)[1] == j for each in (state, state.changed(j, row=longer)))
     return int((after & ~before & (image.weight > 0)).sum()) < PART * before.sum()
-
-
-def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:
-    """Return the upright cylinder about whose axis alone a thing stands, no wider than it: a bottle's body, of which
-    the thing is shoulder and neck; else None."""
-    k, _ = standing(seen, state, mask)
-    if k == FLOOR or k in state.parents or int(state.rows[k][0]) != CYLINDER:
-        return None
-    clear = clear_of_edges(seen, mask)[0]
-    axis = vertical_axis(seen.points[clear], seen.surface.normals(mask)[clear])
-    radius = 0.5 * state.rows[k][13]
-    if axis is None or axis[1] > SAME_WIDTH * radius:
-        return None
-    return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < COAXIAL * radius else None
 
 
 def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarray) -> int | None:
