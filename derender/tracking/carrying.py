@@ -24,6 +24,7 @@ MOST = 80  # points by which coarse shifts are compared
 RIM, BEHIND = 3, 0.02  # pixels beside the hand within which something lies so many metres behind it: it ends there
 NOISE = 0.004  # metres: standard deviation of a point, of noise and of what half a pixel makes on a slanted surface
 MOST_TOLD = 4.5  # nats: a point off by more than three standard deviations tells no more
+UNSEEN = 1.0  # nats of a point that nothing returns from: as one that is nearly right, or all would leave the image
 ENTERED = 0.01  # metres: a point beside the hand shows it where the image is nearer, or so little behind it
 # Metres: spacing of the shifts that are tried, each time three to both sides, and begun again from the best few.
 COARSE, FINER, BEGUN = 0.008, (0.004, 0.002, 0.001), 3
@@ -43,17 +44,15 @@ def costs_of(shifts, points, beside, depth, lens, costs):
         for side in range(2):
             some = points if side == 0 else beside
             for p in range(some.shape[0]):
-                z = some[p, 2] + shifts[s, 2]
-                if z <= 0.0:
-                    continue
-                column = int(np.rint((some[p, 0] + shifts[s, 0]) / z * lens[0] + lens[2]))
-                row = int(np.rint((some[p, 1] + shifts[s, 1]) / z * lens[1] + lens[3]))
-                if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
-                    continue
-                seen = depth[row, column]
+                z, seen = some[p, 2] + shifts[s, 2], 0.0
+                if z > 0.0:
+                    column = int(np.rint((some[p, 0] + shifts[s, 0]) / z * lens[0] + lens[2]))
+                    row = int(np.rint((some[p, 1] + shifts[s, 1]) / z * lens[1] + lens[3]))
+                    if 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
+                        seen = depth[row, column]
                 if seen <= 0.0:
-                    continue
-                if side == 0:
+                    total += UNSEEN
+                elif side == 0:
                     total += min(0.5 * ((seen - z) / NOISE) ** 2, MOST_TOLD)
                 elif seen < z + ENTERED:
                     total += MOST_TOLD

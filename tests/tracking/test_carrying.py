@@ -43,6 +43,17 @@ def test_how_a_hand_moves_is_found_to_a_fraction_of_a_pixel(shift):
     assert Hand(frames[1], hand, centre + 1.0, CAMERA).shift(frames[2], np.zeros(3)) is None  # none is there
 
 
+def test_where_nothing_returns_a_hand_is_no_likelier():
+    """Points that left the image cost nothing, and a hand before the camera was said to go off by 20 cm a frame."""
+    frames, _, _ = held_film(0, [(-1.0, 0.0, 0.0), (0, 0, 0), (0, 0, 0)], [0])
+    hand = np.abs(frames[1] - frames[0]) > 0.02
+    frames[2, :, :44] = 0.0
+    seen, shift = Hand(frames[1], hand, (films.view() @ at(-0.1, 0, 0.04))[:3, 3], CAMERA), np.zeros(3)
+    for _ in range(4):  # each begins with what was found in the frame before
+        shift = seen.shift(frames[2], shift)
+    assert np.linalg.norm(shift) < 0.005
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_a_hand_holds_and_hides_goes_with_it(seed):
     """Boxes of which a corner was seen went up the arm that hid them, and stayed there while it put them down."""
