@@ -182,9 +182,16 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
     return residual
 
 
-def greatest(residual: np.ndarray) -> float:
-    """Return the greatest norm of a body's residual (B, 6)."""
-    return math.sqrt(float((residual * residual).sum(axis=1).max(initial=0.0)))
+@njit(cache=True, nogil=True)
+def greatest(residual):
+    """Return the greatest norm of a body's residual (B, 6), a float."""
+    most = 0.0
+    for b in range(residual.shape[0]):
+        total = 0.0
+        for q in range(residual.shape[1]):
+            total += residual[b, q] * residual[b, q]
+        most = max(most, total)
+    return math.sqrt(most)
 
 
 def new_memory(bodies: int, contacts: int) -> tuple[np.ndarray, ...]:

@@ -1,5 +1,6 @@
 """The solids of a scene as rigid bodies: all that the physics engine needs to know, of pairs that touch too."""
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -107,12 +108,12 @@ class Matter(NamedTuple):
     @property
     def up(self) -> np.ndarray:
         """(3,) unit vector against gravity; zeros where there is none."""
-        return -self.gravity / (float(np.linalg.norm(self.gravity)) or 1.0)
+        return -self.gravity / (math.hypot(*self.gravity) or 1.0)
 
     @property
     def strength(self) -> float:
         """Of gravity, m / s^2, the standard one where there is none: forces and times are judged by it."""
-        return float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY
+        return math.hypot(*self.gravity) or STANDARD_GRAVITY
 
     @property
     def unit(self) -> float:

@@ -63,6 +63,8 @@ def deep_overlaps(matter: Matter, contacts: Contacts) -> list[Entered]:
     Of a mesh only its hull, or those of its parts, are known: a cup in a bowl enters that. Such pairs are left out.
     """
     found: dict[tuple[str, str], Entered] = {}
+    if contacts.gap.min(initial=0.0) >= -WIDEST_GAP_METRES:  # no slack is less
+        return []
     for k in np.flatnonzero(contacts.gap < -widest_gap(matter.unit)):
         first, second = matter.bodies[contacts.first[k]], matter.bodies[contacts.second[k]]
         if "mesh" not in (first.kind, second.kind):
@@ -212,10 +214,11 @@ class Equilibrium:
 
 def plane_is_below(matter: Matter, plane: Body) -> bool:
     """Return whether what rests on a plane (all bodies, where nothing says so) lies on the side that its +z shows."""
-    places = {body.name: body.pose[:3, 3] for body in matter.bodies if body.kind != "plane"}
-    children = [child for child, parent in matter.supports if parent == plane.name and child in places]
-    seen = [places[name] for name in children or places]
-    return not seen or float((np.mean(seen, axis=0) - plane.pose[:3, 3]) @ plane.pose[:3, 2]) >= 0.0
+    children = {child for child, parent in matter.supports if parent == plane.name}
+    others = [body for body in matter.bodies if body.kind != "plane"]
+    seen = [body for body in others if body.name in children] or others
+    above = sum(float(body.pose[:3, 3] @ plane.pose[:3, 2]) for body in seen)
+    return above >= len(seen) * float(plane.pose[:3, 3] @ plane.pose[:3, 2])
 
 
 @lru_cache(maxsize=256)
