@@ -8,7 +8,7 @@ import numpy as np
 
 from derender.results.posterior import Posterior
 from derender.scene.graph import SceneGraph
-from derender.scene.pose import inverse
+from derender.scene.pose import inverse, moved
 from derender.scene.solids import KINDS
 from derender.tracking.hidden import Hidden
 
@@ -22,7 +22,8 @@ TIES = {
 FOLLOWED = tuple(TIES)  # shapes; of free-form things no frame tells the far side
 NOT_FOLLOWED = f"is not followed: only shapes {', '.join(FOLLOWED)} are"
 DRAWS = 60  # of the posterior, for the spread of sizes and poses
-LEAST_SPREAD = (3e-4, 3e-3, 3e-4)  # metres, radians, metres: of centre, turn and extents of what is known best
+LEAST_SPREAD = (1e-4, 1e-3, 1e-4)  # metres, radians, metres: of centre, turn and extents of what is known best
+UNTOLD_SPREAD = (3e-3, 3e-2, 3e-3)  # the same where too few draws tell of it
 SAME_TURN = 0.35  # radians: draws turned by more are the same solid named by other axes
 
 
@@ -129,7 +130,10 @@ def start_from(posterior: Posterior, rng: np.random.Generator) -> Start:
 
 
 def thing_of(graph: SceneGraph, draws: Any, name: str) -> Thing:
-    """Return one solid of a scene as a thing, its spread that of the draws of the scene."""
+    """Return one solid of a scene as a thing: the mean of the draws of the scene and their spread.
+
+    What an image hides, the likeliest scene may have anywhere in its range.
+    """
     vertex = graph.vertex(name)
     pose, size, ties = graph.poses()[name], np.array(graph.body(name).size(), float), TIES[vertex.shape]
     rows = []
@@ -143,10 +147,10 @@ def thing_of(graph: SceneGraph, draws: Any, name: str) -> Thing:
             continue
         grown = (np.array(draw.body(name).size(), float) - size) @ ties.T / ties.sum(axis=1)
         rows.append([*(other[:3, 3] - pose[:3, 3]), *about, *grown])
-    spread = np.repeat(LEAST_SPREAD, [3, 3, len(ties)])
-    covariance = np.diag(spread**2)
-    if len(rows) > 2 * len(spread):
-        covariance = covariance + np.cov(np.array(rows).T)
-    else:
-        covariance = covariance * 100.0  # too few draws tell of it: ten times as uncertain
+    counts = [3, 3, len(ties)]
+    covariance = np.diag(np.repeat(UNTOLD_SPREAD, counts) ** 2)
+    if len(rows) > 2 * len(covariance):
+        mean = np.mean(rows, axis=0)
+        pose, size = moved(pose, mean[:6]), size + mean[6:] @ ties
+        covariance = np.diag(np.repeat(LEAST_SPREAD, counts) ** 2) + np.cov(np.array(rows).T)
     return Thing(name, vertex.shape, KINDS[vertex.shape], size, pose.copy(), covariance)
