@@ -400,7 +400,9 @@ class Smoother:
         alike = discount(told, off)
         before = np.linalg.inv(known.covariance[RIGID:, RIGID:])
         change = alike @ grown + before @ (ties @ (known.size - thing.size))
-        thing.size = thing.size + np.linalg.solve(alike @ told + before, change) @ thing.ties
+        total = alike @ told + before
+        thing.size = thing.size + np.linalg.solve(total, change) @ thing.ties
+        thing.covariance[RIGID:, RIGID:] = np.linalg.inv(0.5 * (total + total.T))
 
 
 def way_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:

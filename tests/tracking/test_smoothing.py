@@ -129,3 +129,17 @@ def test_a_frame_that_seems_to_tell_a_hundred_times_what_others_do_does_not_keep
         fits[t] = Fit(smoother.poses[t, 0], np.eye(6), np.eye(6), told, grown)
     smoother._grow(0, fits)
     assert len(moving) > 5 and 0.0 < thing.size[0] - SIZE[0] < 0.002
+
+
+def test_a_size_is_as_sure_as_what_tells_it():
+    """It was as sure as the filter had it, which counts what outlines are off by alike anew in each frame."""
+    frames, poses = slide(3)
+    smoother = Smoother(followed(frames, start(["box"], [SIZE], poses[0])), frames)
+    known, thing = smoother.known[0], smoother.tracker.things[0]
+    known.covariance[6:, 6:] = np.diag([0.02, 0.02, 0.001]) ** 2
+    thing.size, thing.covariance[6:, 6:] = known.size.copy(), 1e-8 * np.eye(3)
+    fit = Fit(poses[0, 0], np.eye(6), np.eye(6), np.diag([1e12, 0.0, 0.0]), np.zeros(3))
+    smoother._grow(0, [fit if state == MOVING else None for state in smoother.states[:, 0]])
+    least = smoother.tracker.bias(thing)  # by which outlines are off in all frames alike
+    deviations = np.sqrt(np.diag(thing.covariance)[6:])
+    assert least < deviations[0] < 2 * least and np.allclose(deviations[1:], [0.02, 0.001])
