@@ -14,7 +14,7 @@ from derender.errors import DerenderError
 @options.depth_scale
 @options.verbosity
 def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scale: float | None, talk: Talk) -> None:
-    """Learn a depth camera's noise from FRAMES that show a bare table and little else.
+    """Learn a depth camera's noise from FRAMES, files, folders or patterns, that show a bare table and little else.
 
     Writes its numbers as a prior, under `likelihood: {type: correlated}`: noise and how it grows with depth, how much
     of it each pixel has for itself, how far the rest reaches along rows and columns, how heavy its tails are.
@@ -30,20 +30,20 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
     import numpy as np
 
     from derender.atomic import write_text
+    from derender.batch.frames import find_frames
     from derender.camera.depth_file import read_depth
     from derender.detection.calibration import fit_sensor, residuals, sensor_text
 
     pairs, first = [], None
-    for name in talk.counted(frames, len(frames), "reading"):
+    names = [frame.path for frame in find_frames(frames, output, warn=talk.warn)]
+    for name in talk.counted(names, len(names), "reading"):
         seen = read_depth(name, camera, depth_scale)
         if first is None:
             first = seen.camera
             if seen.camera_is_guess:
                 talk.warn(f"--camera is not given: taking {first.field_of_view:.0f} degrees horizontal field of view")
         elif seen.camera.shape != first.shape:
-            told = (
-                f"it is {seen.camera.width} x {seen.camera.height} pixels, {frames[0]} {first.width} x {first.height}"
-            )
+            told = f"it is {seen.camera.width} x {seen.camera.height} pixels, {names[0]} {first.width} x {first.height}"
             raise DerenderError(told, name, "calibrate each camera by itself")
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
         pairs.append(residuals(depth, seen.camera, name))
@@ -53,7 +53,7 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
     talk.say(f"{fit.pixels} pixels of table: neighbours correlate at {before:.2f}, whitened at {after:+.2f} at most; "
              f"99 % of whitened residuals are within {fit.beyond:.2f} times the normal's limit")  # fmt: skip
     assert first is not None
-    text = sensor_text(fit, first, len(frames))
+    text = sensor_text(fit, first, len(names))
     if output == "-":
         click.echo(text, nl=False)
     else:

@@ -312,6 +312,8 @@ def test_calibrate_tells_of_a_camera_that_nobody_gave_and_refuses_another(tmp_pa
     assert (
         str(done.exception) == f"{paths[1]}: it is 32 x 24 pixels, {paths[0]} 64 x 48; calibrate each camera by itself"
     )
+    folder = CliRunner().invoke(group, ["calibrate", str(tmp_path)])  # as `infer` takes one; it was "Is a directory"
+    assert str(folder.exception) == str(done.exception)
 
 
 def test_what_calibrate_writes_is_a_prior_of_the_fit():
