@@ -301,7 +301,8 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
     usual = sensor_deviation(middle)
     if fitted <= NOISY * max(fit.noise.sigma, usual):
         return []
-    words = f"a noise of {1000 * fitted:.2g} mm was fitted where flat patches show {1000 * fit.noise.sigma:.2g} mm"
+    told, shown = (f"{float(f'{1000 * sigma:.2g}'):g} mm" for sigma in (fitted, fit.noise.sigma))  # no "1e+02 mm"
+    words = f"a noise of {told} was fitted where flat patches show {shown}"
     return [Doubt(f"{words}: it hides what is not explained")]
 
 

@@ -160,6 +160,8 @@ def test_noise_that_hides_a_solid_is_told():
     """The likelihood that explains a missed solid away is far above what flat patches show."""
     words = [d.words for d in doubts_of(TRUE.remove("right"), image(TRUE), {**LIKELIHOOD, "sigma": 0.06})]
     assert any("a noise of 60 mm was fitted where flat patches show" in each for each in words)
+    words = [d.words for d in doubts_of(TRUE, image(TRUE), {**LIKELIHOOD, "sigma": 0.12})]
+    assert any("a noise of 120 mm was" in each for each in words)  # no 1.2e+02 mm
 
 
 def test_background_over_the_floor_is_no_explanation_and_beyond_it_says_nothing_of_what_is_on_it():
