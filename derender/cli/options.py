@@ -202,7 +202,7 @@ depth_scale = click.option(
     "--depth-scale",
     type=Finite(0, min_open=True),
     metavar="MM",
-    help="Millimetres for one unit of a 16-bit image; overrides the camera's. Default 1.",
+    help="Millimetres for a unit of a 16-bit image, or of floats not in metres; overrides the camera's. Default 1.",
 )
 renderer = click.option(
     "--renderer",

@@ -42,7 +42,12 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.seed
 @options.quiet
 @options.tells_idle(
-    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth")
+    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth"),
+    Idle(
+        ("depth_scale",),
+        lambda given: Path(given["output"] or ".npz").suffix.lower() != ".png",
+        "depth is in metres but in a .png",
+    ),
 )
 def command(
     scenes: tuple[str, ...],
@@ -91,7 +96,8 @@ def command(
         if target != "-":
             own = camera or (scene if document.camera and scene != "-" else None)
             apart = own and not preview and Path(target).suffix.lower() != ".npz"  # else the file holds it
-            talk.say(f"wrote {target}" + (f" (infer needs its camera: --camera {own})" if apart else ""))
+            unit = f" --depth-scale {depth_scale:g}" if depth_scale is not None else ""
+            talk.say(f"wrote {target}" + (f" (infer needs its camera: --camera {own}{unit})" if apart else ""))
 
 
 def _targets(scenes: tuple[str, ...], output: str | None, preview: bool) -> list[str]:

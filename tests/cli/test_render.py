@@ -49,6 +49,11 @@ def test_every_suffix_holds_the_same_depth(suffix, folder):
 def test_of_a_file_that_holds_no_camera_it_says_where_that_is(folder, capsys):
     assert run("scene_a.yaml", "-o", "d.png") == 0 and run("scene_a.yaml", "-o", "d.npz") == 0
     assert capsys.readouterr().err == "wrote d.png (infer needs its camera: --camera scene_a.yaml)\nwrote d.npz\n"
+    # Read with the scene's camera alone, each depth came back twice as large; and floats had no use for a scale.
+    run("scene_a.yaml", "-o", "d.png", "--depth-scale", "0.5")
+    assert "--camera scene_a.yaml --depth-scale 0.5)" in capsys.readouterr().err
+    run("scene_a.yaml", "-o", "d.tiff", "--depth-scale", "0.5")
+    assert "warning: --depth-scale says nothing here: depth is in metres" in capsys.readouterr().err
 
 
 def test_several_scenes_go_to_several_files(folder):
