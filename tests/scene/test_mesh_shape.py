@@ -92,8 +92,11 @@ def test_faults_are_one_line(tmp_path):
     (tmp_path / "empty.stl").write_bytes(b"")
     (tmp_path / "mesh.xyzzy").write_bytes(b"what")
     trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]).export(tmp_path / "flat.ply")
+    square = [[0, 0, 1.7e-17], [0.4, 0, 1.7e-17], [0.4, 0.4, 2e-17], [0, 0.4, 2e-17]]  # thinner than any number is told
+    trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]]).export(tmp_path / "sheet.obj")
     trimesh.PointCloud(np.random.default_rng(0).random((9, 3))).export(tmp_path / "points.ply")
-    for name in ("missing.ply", "garbage.ply", "garbage.obj", "empty.stl", "mesh.xyzzy", "flat.ply", "points.ply", "."):
+    for name in ("missing.ply", "garbage.ply", "garbage.obj", "empty.stl", "mesh.xyzzy", "flat.ply", "points.ply",
+                 "sheet.obj", "."):  # fmt: skip
         with pytest.raises(DerenderError) as caught:
             load_mesh(tmp_path / name)
         assert "\n" not in str(caught.value) and str(tmp_path) in str(caught.value), name

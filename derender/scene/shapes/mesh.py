@@ -25,6 +25,7 @@ from derender.scene.shapes.kinds import ROTATIONS, box_mesh
 
 MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
 LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
+FLAT = 1e-6  # of a mesh's longest extent, up to which its shortest is what rounding leaves of none
 FARTHEST = 1e9  # metres, or whatever the file counts in, of a vertex: volumes beyond it overflow
 
 
@@ -85,8 +86,11 @@ def fit_box(mesh: Any, hull: bool, where: object) -> LoadedMesh:
     if not (np.abs(mesh.vertices) < FARTHEST).all():
         raise DerenderError("the mesh has vertices that are not finite, or too far away", where, "export it again")
     try:
-        convex = mesh.convex_hull
-        box_from_file, extents = trimesh.bounds.oriented_bounds(convex)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            convex = mesh.convex_hull
+            box_from_file, extents = trimesh.bounds.oriented_bounds(convex)
+        if not min(extents) > FLAT * max(extents):
+            raise ValueError("flat but for rounding")
     except Exception:  # qhull's and numpy's several ways to say that the vertices lie in a plane
         raise DerenderError("the mesh is flat or a point", where, "a solid needs three extents") from None
     if not mesh.is_watertight and not hull:
