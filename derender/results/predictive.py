@@ -21,6 +21,7 @@ from derender.render.likelihoods import drawn_image
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.results.posterior import Posterior, StructurePosterior
+from derender.sampling.diagnostics import unwrap
 
 LEAST_SIDE, MOST_ACROSS = 8, 20  # pixels of a block's side; blocks across the image's width
 LEAST_FILLED = 0.5  # share of a block's pixels that returned a depth: with fewer it is left out
@@ -157,7 +158,8 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
 
     part = posterior.best_part
     chain, draw = (np.arange(length) for length in part.log_density.shape)
-    columns = {address: part.values[:, :, i] for i, address in enumerate(part.addresses)}
+    told = enumerate(zip(part.addresses, part.periods, strict=True))  # angles on one turn, as the table has them
+    columns = {address: unwrap(part.values[:, :, i], period) for i, (address, period) in told}
     stats = {"lp": part.log_density, "log_prior": part.log_prior, "log_likelihood": part.log_likelihood}
     walk = {"chain": chain, "draw": draw}
     groups = {"posterior": (walk, columns), "sample_stats": (walk, stats)}
